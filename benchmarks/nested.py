@@ -11,14 +11,12 @@ respect to the draw's weight, wherever the draw is used (the infinitesimal jackk
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
 from torch import Tensor
 
-from imr_torch.design.drawing import Gels, draw_normal_controls, simulate_gels
 from imr_torch.design.gain import (
     InformationEstimator,
     InformationGain,
@@ -26,10 +24,9 @@ from imr_torch.design.gain import (
     mean_deviations,
     with_influence,
 )
-from imr_torch.design.likelihood import Data, linearise_data
-from imr_torch.design.plan import Plan
-from imr_torch.design.response import Response, Shot
-from imr_torch.float64 import ones, zeros
+from imr_torch.design.likelihood import Data, Gels, linearise_data, simulate_gels
+from imr_torch.design.response import Plan, Response, Shot
+from imr_torch.float64 import ones, randn, zeros
 
 
 def log_likelihood(
@@ -88,17 +85,18 @@ class NestedMonteCarlo(InformationEstimator):
 
     def __call__(self, shot: Shot, generator: torch.Generator) -> InformationGain:
         """See :class:`~imr_torch.design.gain.InformationEstimator`."""
-        models = len(shot.belief.models)
 
         def draw_gels(count: int) -> Gels:
-            controls = draw_normal_controls(shot, [count] * models, generator)
+            controls = [
+                randn(count, len(part.names), generator=generator) for part in shot.belief.models
+            ]
             return simulate_gels(shot, controls, gel=False)
 
         gels = draw_gels(self.draws)
         data = gels.observe(shot, generator)
         log_weights = shot.belief.log_probabilities
         return _estimate_gain(
-            gels, *data, draw_gels(self.inner), log_weights, shot.plan, contrastive=self.contrastive
+            gels, data, draw_gels(self.inner), log_weights, shot.plan, contrastive=self.contrastive
         )
 
 
@@ -122,7 +120,6 @@ class PriorContrastive(NestedMonteCarlo):
 def _estimate_gain(
     gels: Gels,
     data: Data,
-    rows: Sequence[slice],
     inner: Gels,
     log_weights: Tensor,
     plan: Plan,
@@ -134,12 +131,12 @@ def _estimate_gain(
     Args:
         gels: gels that data were made of.
         data: one of each.
-        rows: which are of each model.
         inner: gels that evidences are summed over.
         log_weights: log probability of each model.
         plan: how the data were observed.
         contrastive: whether a datum's own gel takes the place of the first inner gel of its model.
     """
+    rows = gels.rows
     likelihoods = [
         log_likelihood(data[own], part.radius, part.by_nuisance, plan)
         for own, part in zip(rows, gels.parts, strict=True)

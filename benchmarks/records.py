@@ -54,7 +54,8 @@ def hash_code(*rooms: str) -> str:
     layout.
     """
     root = Path(imr_torch.__file__).parent
-    paths = sorted(path for room in rooms or (".",) for path in (root / room).rglob("*.py"))
+    patterns = [pattern for room in rooms for pattern in (f"{room}/**/*.py", f"{room}.py")]
+    paths = sorted(path for pattern in patterns or ["**/*.py"] for path in root.glob(pattern))
     trees = (_without_docstrings(path.read_text(encoding="utf-8")) for path in paths)
     return hashlib.sha256("\n".join(trees).encode()).hexdigest()[:12]
 

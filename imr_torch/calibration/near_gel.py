@@ -7,7 +7,6 @@ simulation-based calibration, Säilynoja, Schmitt, Bürkner & Vehtari, arXiv 250
 """
 
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import scipy  # whose parts are imported when they are used; `stats` takes long
@@ -24,6 +23,7 @@ from imr_torch.assimilate import (
 )
 from imr_torch.calibration.replicate import Arrangement, Replicate, Truth, judge_replicate
 from imr_torch.calibration.statistics import uniformity
+from imr_torch.design import Plan
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.float64 import randn, zeros
 from imr_torch.material import Belief
@@ -55,19 +55,20 @@ class NearGelCheck:
     replicates: tuple[Replicate, ...]
 
     @property
+    def inferred(self) -> list[dict[str, float]]:
+        """Where the true values of each gel that was inferred lie in their posteriors."""
+        return [r.weighted for r in self.replicates if r.failure is None]
+
+    @property
     def places(self) -> dict[str, list[float]]:
-        """Parameter -> where its true values lie in their posteriors, of the gels that were
-        inferred.
-        """
-        inferred = [r.weighted for r in self.replicates if r.failure is None]
-        return (
-            {name: [place[name] for place in inferred] for name in inferred[0]} if inferred else {}
-        )
+        """Parameter -> the same of all of these gels."""
+        names = self.inferred[0] if self.inferred else ()
+        return {name: [place[name] for place in self.inferred] for name in names}
 
     @property
     def failed(self) -> int:
         """Gels whose inference failed."""
-        return sum(r.failure is not None for r in self.replicates)
+        return len(self.replicates) - len(self.inferred)
 
     @property
     def held(self) -> dict[str, int]:
@@ -77,14 +78,13 @@ class NearGelCheck:
     @property
     def expected(self) -> tuple[int, int]:
         """Ends of the central range, of 95 %, of that number if the inference is right."""
-        count = len(self.replicates) - self.failed
-        low, high = scipy.stats.binom.interval(0.95, count, 0.9)
+        low, high = scipy.stats.binom.interval(0.95, len(self.inferred), 0.9)
         return int(low), int(high)
 
     @property
     def wrong(self) -> list[str]:
         """Parameters whose places are not uniform at a level of 5 % for all together."""
-        if len(self.replicates) - self.failed < FEWEST_GELS:
+        if len(self.inferred) < FEWEST_GELS:
             return []
         level = 0.05 / len(self.places)
         return [name for name, row in self.places.items() if uniformity(row).p < level]
@@ -92,7 +92,7 @@ class NearGelCheck:
     @property
     def sentence(self) -> str:
         """The result, and what follows from it."""
-        inferred = len(self.replicates) - self.failed
+        inferred = len(self.inferred)
         if inferred < FEWEST_GELS:
             return (
                 f"Inference failed on {self.failed} of {len(self.replicates)} simulated gels like "
@@ -179,9 +179,9 @@ def check_near_gel(
     arrangement = Arrangement(
         Belief((fits.prior[model],), zeros(1)),
         (),
-        samples=samples,
-        options=options or SearchOptions(),
-        learn=partial(ExperimentBatch, noise=start),
+        Plan(noise=start),
+        samples,
+        options or SearchOptions(),
         noise_rounds=NOISE_ROUNDS if inferred else 0,
     )
     found = []

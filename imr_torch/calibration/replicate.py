@@ -10,8 +10,9 @@ function from data to draws (Hamiltonian Monte Carlo, a neural posterior).
 
 import time
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -171,33 +172,27 @@ def judge_replicate(
 ) -> Replicate:
     """The replicate of a gel that was drawn; arguments as of :func:`calibrate`."""
     started = time.process_time()
+    answers: dict[str, Any]
+    learn = arrangement.learn or partial(ExperimentBatch, noise=arrangement.plan.noise)
     try:
-        judged = (
-            _infer_replicate(arrangement, truth, seed, simulator)
+        batch = learn(truth.experiments)
+        answers = (
+            _infer_replicate(arrangement, truth, batch, seed, simulator)
             if infer is None
-            else _rank_draws(arrangement, truth, seed, infer)
+            else _rank_draws(arrangement, truth, batch, seed, infer)
         )
     except ConvergenceError as error:
-        judged = Replicate(0, truth.model, failure=str(error))
-    return replace(
-        judged,
-        number=number,
-        model=truth.model,
-        redrawn=truth.redrawn,
-        seconds=time.process_time() - started,
-    )
+        answers = {"failure": str(error)}
+    seconds = time.process_time() - started
+    return Replicate(number, truth.model, redrawn=truth.redrawn, seconds=seconds, **answers)
 
 
-def _prepare_data(arrangement: Arrangement, truth: Truth) -> ExperimentBatch:
-    """What the inference is given."""
-    learn = arrangement.learn or partial(ExperimentBatch, noise=arrangement.plan.noise)
-    return learn(truth.experiments)
-
-
-def _rank_draws(arrangement: Arrangement, truth: Truth, seed: int, infer: Infer) -> Replicate:
+def _rank_draws(
+    arrangement: Arrangement, truth: Truth, batch: ExperimentBatch, seed: int, infer: Infer
+) -> dict[str, Any]:
     """Where the truth lies among the draws of a function."""
     part = arrangement.prior[truth.model]
-    draws = infer(_prepare_data(arrangement, truth), truth.model, child(seed, "infer"))
+    draws = infer(batch, truth.model, child(seed, "infer"))
     if (
         draws.ndim != 2
         or draws.shape[1] != len(part.names)
@@ -211,16 +206,17 @@ def _rank_draws(arrangement: Arrangement, truth: Truth, seed: int, infer: Infer)
     uniforms = rand(len(part.names), generator=generator(child(seed, "lots")))
     below = (draws < part.physical(part.unwhitened(truth.gel))).double().sum(0)
     places = (below + uniforms) / (len(draws) + 1.0)
-    return Replicate(
-        0, truth.model, reported=dict(zip(part.names, places.tolist(), strict=True)), converged=True
-    )
+    return {"reported": dict(zip(part.names, places.tolist(), strict=True)), "converged": True}
 
 
 def _infer_replicate(
-    arrangement: Arrangement, truth: Truth, seed: int, simulator: Simulator
-) -> Replicate:
-    """Result of the toolkit's own inference on one gel."""
-    batch = _prepare_data(arrangement, truth)
+    arrangement: Arrangement,
+    truth: Truth,
+    batch: ExperimentBatch,
+    seed: int,
+    simulator: Simulator,
+) -> dict[str, Any]:
+    """What a replicate says of the toolkit's own inference on one gel."""
     fitted = assimilate_estimating_noise(
         arrangement.prior,
         batch,
@@ -250,16 +246,14 @@ def _infer_replicate(
     def by_name(values: Tensor) -> dict[str, float]:
         return dict(zip(fit.prior.names, values.tolist(), strict=True))
 
-    return Replicate(
-        number=0,
-        model=truth.model,
-        gaussian=by_name(torch.special.ndtr(z)),
-        weighted=by_name(places),
-        reported=by_name(torch.special.ndtr(z_reported)),
-        probabilities=update(result, evidences(result)).probabilities,
-        verdict=fit.verdict.value,
-        converged=result.converged,
-    )
+    return {
+        "gaussian": by_name(torch.special.ndtr(z)),
+        "weighted": by_name(places),
+        "reported": by_name(torch.special.ndtr(z_reported)),
+        "probabilities": update(result, evidences(result)).probabilities,
+        "verdict": fit.verdict.value,
+        "converged": result.converged,
+    }
 
 
 def _draw_truth(arrangement: Arrangement, seed: int, simulator: Simulator) -> Truth:

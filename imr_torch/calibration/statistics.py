@@ -129,12 +129,6 @@ def envelope(count: int, level: float = 0.95) -> float:
     return float(scipy.stats.kstwo.ppf(level, count))
 
 
-def _share_interval(hits: int, count: int) -> tuple[float, float]:
-    """95 % confidence interval of a share (Clopper & Pearson, Biometrika 26, 1934)."""
-    interval = scipy.stats.binomtest(hits, count).proportion_ci(0.95, method="exact")
-    return float(interval.low), float(interval.high)
-
-
 def coverage(values: Sequence[float], level: float) -> Coverage:
     """How often the central interval of a probability held the truth.
 
@@ -149,4 +143,6 @@ def coverage(values: Sequence[float], level: float) -> Coverage:
     """
     found = _check_shares(values, "coverage")
     hits = int((np.abs(found - 0.5) <= 0.5 * level).sum())
-    return Coverage(level, hits / len(found), *_share_interval(hits, len(found)))
+    # Clopper & Pearson, Biometrika 26, 1934
+    interval = scipy.stats.binomtest(hits, len(found)).proportion_ci(0.95, method="exact")
+    return Coverage(level, hits / len(found), float(interval.low), float(interval.high))

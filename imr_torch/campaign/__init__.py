@@ -1,7 +1,7 @@
 """Campaigns: sequences of choosing a design, measuring and inference, recorded in a journal."""
 
 from imr_torch.campaign.forecast import ShotForecast, camera_variants, forecast_shots
-from imr_torch.campaign.history import Step
+from imr_torch.campaign.history import CampaignSettings, Step
 from imr_torch.campaign.journal import Journal
 from imr_torch.campaign.learners import (
     ExactLearner,
@@ -20,7 +20,6 @@ from imr_torch.campaign.policies import (
     Situation,
     SpaceFilling,
 )
-from imr_torch.campaign.settings import CampaignSettings
 from imr_torch.campaign.stopping import (
     AllOf,
     AnyOf,

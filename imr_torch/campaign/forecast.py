@@ -25,9 +25,14 @@ from imr_torch.campaign.stopping import (
     StoppingRule,
 )
 from imr_torch.design import Laplace, Plan, Shot
-from imr_torch.design.drawing import Gels, draw_cloud_controls, simulate_gels
 from imr_torch.design.laplace import local_precision
-from imr_torch.design.likelihood import Data, infer_linear
+from imr_torch.design.likelihood import (
+    Data,
+    Gels,
+    draw_cloud_controls,
+    infer_linear,
+    simulate_gels,
+)
 from imr_torch.errors import InputDataError
 from imr_torch.float64 import full
 from imr_torch.material import Belief
@@ -65,12 +70,14 @@ class ShotForecast:
         """JSON-ready: the expected number, its quantiles of 10, 50 and 90 %, each None where it is
         above the length of the sequence, and the share of the draws that reach the target.
         """
-        mean = float(self.weights @ self.counts)
-        found = [mean, *map(self.quantile, (0.1, 0.5, 0.9))]
-        finite = [count if count < math.inf else None for count in found]
-        names = ("mean", "low", "median", "high")
-        reached = float(self.weights[self.counts < math.inf].sum())
-        return dict(zip(names, finite, strict=True)) | {"reached": reached}
+        found = {
+            "mean": float(self.weights @ self.counts),
+            "low": self.quantile(0.1),
+            "median": self.quantile(0.5),
+            "high": self.quantile(0.9),
+        }
+        finite = {name: count if count < math.inf else None for name, count in found.items()}
+        return finite | {"reached": float(self.weights[self.counts < math.inf].sum())}
 
 
 @one_torch_thread()
@@ -118,7 +125,7 @@ def forecast_shots(
     estimator = Laplace(draws, rivals=draws)
     with torch.no_grad():
         seen = simulate_gels(shot, draw_cloud_controls(shot, draws, source))
-        data, rows = _take_shots(seen, place).observe(shot, source)
+        data = _take_shots(seen, place).observe(shot, source)
         chances = shot.belief.log_probabilities.expand(len(data), -1)
         counts = full((len(data),), math.inf)
         for count in range(1, len(designs) + 1):
@@ -126,14 +133,14 @@ def forecast_shots(
             told = Data(data.radius[:, :count], data.window[:, :count])
             if about_models:
                 so_far = replace(shot, designs=designs[:count])
-                _, logs = estimator.weigh_models(so_far, gels, told, rows)
-                chances = torch.stack(logs).nan_to_num(-math.inf).mT + shot.belief.log_probabilities
-            for number, gel in enumerate(gels.parts):
+                _, logs = estimator.weigh_models(so_far, gels, told)
+                chances = logs.nan_to_num(-math.inf).mT + shot.belief.log_probabilities
+            for number, (gel, rows) in enumerate(zip(gels.parts, gels.rows, strict=True)):
                 part = shot.belief.models[number]
-                learnt = infer_linear(told[rows[number]], gel, plan)
+                learnt = infer_linear(told[rows], gel, plan)
                 means = learnt.mean if part.cloud is None else gel.controls
                 chols = inverse_chol(local_precision(part, gel.controls) + learnt.fisher)
-                for i, row in enumerate(range(len(data))[rows[number]]):
+                for i, row in enumerate(range(len(data))[rows]):
                     if counts[row] < count:
                         continue
                     mean = part.unwhitened(means[i])

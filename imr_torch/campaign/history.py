@@ -1,23 +1,74 @@
-"""What happened in a campaign, read back from its journal: experiments that count, forgotten ones,
-beliefs.
+"""What a campaign is and what happened in it, as its journal has it: settings, designs asked for,
+experiments that count, forgotten ones, beliefs.
 """
 
 import json
 import math
 from collections import defaultdict
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from typing import Any
 
 from torch import Tensor
 
 from imr_torch.campaign.journal import REMEDY, Journal, differing_names
-from imr_torch.campaign.learners import Finding, Inference
-from imr_torch.campaign.policies import Proposal
+from imr_torch.campaign.learners import ExactLearner, Finding, Inference, Learner
+from imr_torch.campaign.policies import DesignPolicy, Optimal, Proposal
+from imr_torch.campaign.stopping import StoppingRule
+from imr_torch.design import (
+    DesignOptimizer,
+    DesignSearch,
+    DesignSpace,
+    InformationGain,
+    Plan,
+    finish_search,
+)
 from imr_torch.errors import ImrError, InputDataError
-from imr_torch.files import Document
+from imr_torch.files import Document, without_nonfinite
 from imr_torch.float64 import tensor
 from imr_torch.material import Belief
 from imr_torch.observe import Experiment, Noise
 from imr_torch.select import Evidence
+
+
+@dataclass(frozen=True)
+class CampaignSettings:
+    """How a campaign chooses, learns and ends.
+
+    Args:
+        space: designs that may be asked for.
+        plan: how each experiment will be observed.
+        policy: chooses designs.
+        learner: turns experiments into a belief.
+        stop: ends the campaign; None to go on as long as :meth:`Campaign.run` is asked to.
+
+    >>> from imr_torch.campaign import CampaignSettings, Designs, SpaceFilling
+    >>> settings = CampaignSettings(policy=SpaceFilling(), stop=Designs(5))
+    >>> settings.to_dict()["stop"]
+    {'kind': 'Designs', 'count': 5}
+    """
+
+    space: DesignSpace = field(default_factory=DesignSpace)
+    plan: Plan = field(default_factory=lambda: Plan(repeats=100))
+    policy: DesignPolicy = field(default_factory=Optimal)
+    learner: Learner = field(default_factory=ExactLearner)
+    stop: StoppingRule | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready values, with the kind of every part."""
+        return _describe_part(self)
+
+
+def _describe_part(value: Any) -> Any:
+    """A dataclass and what it is made of as JSON-ready values.
+
+    Fields that make no two of them differ are left out.
+    """
+    if is_dataclass(value):
+        own = {f.name: _describe_part(getattr(value, f.name)) for f in fields(value) if f.compare}
+        return {"kind": type(value).__name__} | own
+    if isinstance(value, tuple):
+        return [_describe_part(part) for part in value]
+    return value.tolist() if isinstance(value, Tensor) else value
 
 
 @dataclass(frozen=True)
@@ -53,6 +104,55 @@ class Ask:
     proposal: Proposal
     failures: int = 0
     stale: bool = False
+
+    def rebuild_search(self, space: DesignSpace) -> DesignSearch | None:
+        """The search behind the design, told to its optimizer again; None where there was none."""
+        search = self.event["search"]
+        if not search:
+            return None
+        rows = self.event["evaluations"]
+        before = self.event["pending"]
+        return finish_search(
+            # old versions wrote more of the search
+            DesignOptimizer(space, seed=search["seed"], initial=search["initial"]),
+            tensor([row["design"] for row in rows]),
+            [InformationGain.from_dict(row) for row in rows],
+            before and InformationGain.from_dict(before),
+        )
+
+
+def describe_proposal(proposal: Proposal) -> Document:
+    """What the journal keeps of a design that was asked for."""
+    document = {
+        "step": proposal.step,
+        "design": proposal.design.tolist(),
+        "gain": proposal.gain,
+        "gain_sd": proposal.gain_sd,
+        "reason": proposal.reason,
+        "search": None,
+        "pending": None,
+        "evaluations": [],
+    }
+    if search := proposal.search:
+        tried = zip(search.gains, search.designs.tolist(), strict=True)
+        evaluations = [asdict(gain) | {"design": design} for gain, design in tried]
+        document |= {
+            "search": {"seed": search.optimizer.seed, "initial": search.optimizer.initial},
+            "pending": search.pending and without_nonfinite(asdict(search.pending))[0],
+            "evaluations": without_nonfinite(evaluations)[0],
+        }
+    return document
+
+
+def describe_inference(inference: Inference) -> Document:
+    """What the journal keeps of what was learnt."""
+    return {
+        "belief": inference.belief.to_dict(),
+        "evidence": without_nonfinite([asdict(e) for e in inference.evidence])[0],
+        "noise": inference.noise and vars(inference.noise),
+        "finding": inference.finding and asdict(inference.finding),
+        **inference.record,
+    }
 
 
 @dataclass
@@ -170,7 +270,7 @@ def replay_journal(journal: Journal) -> History:
 
 
 def check_identity(journal: Journal, identity: Document) -> Document:
-    """What the journal of a campaign begins with, as it will read when it comes back from there.
+    """The event that the journal of a campaign begins with, as it will read when it comes back.
 
     Args:
         journal: of the folder; one without events is of no campaign yet.
@@ -188,19 +288,19 @@ def check_identity(journal: Journal, identity: Document) -> Document:
                 f"Campaign: {name} cannot be written to a journal ({error}); give finite numbers, "
                 "text, or dataclasses of them."
             ) from None
-    identity = json.loads(json.dumps(identity))
-    first = journal.events[0] if journal.events else {"event": "start"} | identity
+    start = {"event": "start"} | json.loads(json.dumps(identity))
+    first = journal.events[0] if journal.events else start
     if first["event"] != "start":
         raise InputDataError(
             f"{journal.path}, line 1: event is {first['event']!r}; a campaign begins with 'start'."
         )
-    if names := differing_names(first, {"event": "start"} | identity):
+    if names := differing_names(first, start):
         raise InputDataError(
             f"{journal.path} is the journal of another campaign: {', '.join(names)} differ. "
             "Resume with the same arguments; if another version of imr_torch began it, tell its "
             "curves to a campaign in a new folder."
         )
-    return identity
+    return start
 
 
 def _restore_infinite(values: Document) -> Document:

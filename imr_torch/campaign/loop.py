@@ -11,7 +11,7 @@ an experiment is forgotten.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -20,16 +20,21 @@ import torch
 from torch import Tensor
 
 from imr_torch.campaign.admission import check_new, check_simulated
-from imr_torch.campaign.history import Step, check_identity, replay_journal
+from imr_torch.campaign.history import (
+    CampaignSettings,
+    Step,
+    check_identity,
+    describe_inference,
+    describe_proposal,
+    replay_journal,
+)
 from imr_torch.campaign.journal import Journal, curve_hash
 from imr_torch.campaign.learners import Observations
 from imr_torch.campaign.policies import Proposal, Situation
-from imr_torch.campaign.settings import CampaignSettings
 from imr_torch.campaign.stopping import CampaignState
-from imr_torch.design import DesignSearch, InformationGain, Plan, SearchSettings
+from imr_torch.design import DesignSearch, Plan
 from imr_torch.errors import ImrError, InputDataError
-from imr_torch.files import Document, without_nonfinite
-from imr_torch.float64 import tensor
+from imr_torch.files import Document
 from imr_torch.material import Belief
 from imr_torch.observe import Experiment, ExperimentBatch
 from imr_torch.simulate import Simulator, described
@@ -88,7 +93,7 @@ class Campaign:
         self.seed = seed
         self.settings = settings or CampaignSettings()
         self.journal = Journal(folder)
-        self._identity = check_identity(
+        self._start = check_identity(
             self.journal,
             {
                 "prior": prior.to_dict(),
@@ -103,7 +108,7 @@ class Campaign:
     def _record_event(self, event: str, **values: Any) -> None:
         """Write an event, after the start of the journal if there is none yet."""
         if not self.journal.events:
-            self.journal.append("start", **self._identity)
+            self.journal.append(**self._start)
         self._history.follow_event(self.journal.append(event, **values), self.journal)
 
     @property
@@ -155,12 +160,14 @@ class Campaign:
 
         None where it should not.
         """
-        rule = self.settings.stop
-        gain = proposal.gain if proposal else None
-        state = CampaignState(
-            self.belief, tuple(self.experiments), gain, self.forgotten, self.now.finding
+        if self.settings.stop is None:
+            return None
+        gain = proposal and proposal.gain
+        return self.settings.stop.find_reason(
+            CampaignState(
+                self.belief, tuple(self.experiments), gain, self.forgotten, self.now.finding
+            )
         )
-        return rule.find_reason(state) if rule else None
 
     @property
     def forgotten(self) -> tuple[Experiment, ...]:
@@ -229,7 +236,6 @@ class Campaign:
         if known is not None:
             return known.proposal
         settings = self.settings
-        batch = self._make_batch(self.experiments) if self.experiments else None
         pending = [*(proposal.design for proposal in before), *self._history.moved[number]]
         situation = Situation(
             number,
@@ -240,24 +246,10 @@ class Campaign:
             self.seed,
             torch.stack(pending) if pending else None,
             self.prior,
-            batch,
+            self._make_batch() if self.experiments else None,
         )
         found = settings.policy.choose_design(situation, progress=progress)
-        search = found.search
-        tried = zip(search.gains, search.designs, strict=True) if search else ()
-        evaluations = [asdict(gain) | {"design": design.tolist()} for gain, design in tried]
-        gain_before = search and search.pending and asdict(search.pending)
-        self._record_event(
-            "ask",
-            step=number,
-            design=found.design.tolist(),
-            gain=found.gain,
-            gain_sd=found.gain_sd,
-            reason=found.reason,
-            search=asdict(search.settings) if search else None,
-            pending=without_nonfinite(gain_before)[0],
-            evaluations=without_nonfinite(evaluations)[0],
-        )
+        self._record_event("ask", **describe_proposal(found))
         return found
 
     def search(self, number: int) -> DesignSearch | None:
@@ -266,15 +258,7 @@ class Campaign:
         None where there was none.
         """
         known = self._history.standing_ask(number)
-        if known is None or not known.event["search"]:
-            return None
-        record = known.event
-        rows = [dict(row) for row in record["evaluations"]]
-        designs = tensor([row.pop("design") for row in rows])
-        gains = [InformationGain.from_dict(row) for row in rows]
-        pending = InformationGain.from_dict(record["pending"]) if record["pending"] else None
-        settings = SearchSettings(record["search"]["seed"], record["search"]["initial"])
-        return settings.finish_search(self.settings.space, designs, gains, pending)
+        return known and known.rebuild_search(self.settings.space)
 
     @one_torch_thread()
     def tell(self, *experiments: Experiment, progress: Progress = None) -> Step:
@@ -384,7 +368,7 @@ class Campaign:
         if not fresh:
             return self.now
         with self.journal.hold_lock():
-            observations = Observations(self.prior, self._make_batch(self.experiments), self.seed)
+            observations = Observations(self.prior, self._make_batch(), self.seed)
             try:
                 inference = self.settings.learner.infer_belief(
                     observations, self.simulator, progress=progress
@@ -399,21 +383,16 @@ class Campaign:
             self._record_event(
                 "learnt",
                 step=fresh[-1],
-                experiments=list(self.numbers),
-                belief=inference.belief.to_dict(),
-                evidence=without_nonfinite([asdict(e) for e in inference.evidence])[0],
-                noise=vars(inference.noise) if inference.noise else None,
-                finding=asdict(inference.finding) if inference.finding else None,
-                **inference.record,
+                experiments=self.numbers,
+                **describe_inference(inference),
             )
         self.steps[-1] = replace(self.now, assimilation=inference.assimilation)
         return self.now
 
-    def _make_batch(self, experiments: Sequence[Experiment]) -> ExperimentBatch:
-        """Experiments as a learner sees them."""
-        return ExperimentBatch(
-            tuple(map(self.settings.plan.cut_to_window, experiments)), self.settings.plan.noise
-        )
+    def _make_batch(self) -> ExperimentBatch:
+        """Experiments that count, as a learner sees them."""
+        plan = self.settings.plan
+        return ExperimentBatch(tuple(map(plan.cut_to_window, self.experiments)), plan.noise)
 
     def run(
         self,

@@ -183,11 +183,9 @@ class Random:
 
     def choose_design(self, situation: Situation, *, progress: Progress = None) -> Proposal:
         """See :class:`DesignPolicy`."""
-        space = situation.space
         source = generator(child(situation.seed, "random design", situation.number))
-        low, high = space.bounds
-        drawn = low + (high - low) * rand(1, 2, generator=source)
-        return Proposal(situation.number, drawn[0])
+        low, high = situation.space.bounds
+        return Proposal(situation.number, low + (high - low) * rand(2, generator=source))
 
 
 @dataclass(frozen=True)

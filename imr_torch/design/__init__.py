@@ -13,9 +13,8 @@ from imr_torch.design.gain import (
 from imr_torch.design.laplace import Laplace
 from imr_torch.design.measure import DesignMeasure, MeasureOptions, apportion_shots, optimal_measure
 from imr_torch.design.optimizer import DesignOptimizer, Recommendation
-from imr_torch.design.plan import Plan
-from imr_torch.design.response import Shot, radii
-from imr_torch.design.search import DesignSearch, SearchSettings, search_design
+from imr_torch.design.response import Plan, Shot, radii
+from imr_torch.design.search import DesignSearch, finish_search, search_design
 from imr_torch.design.space import DESIGN_NAMES, DesignSpace, ListedDesigns, load_designs
 
 __all__ = [
@@ -33,11 +32,11 @@ __all__ = [
     "MeasureOptions",
     "Plan",
     "Recommendation",
-    "SearchSettings",
     "Shot",
     "Target",
     "apportion_shots",
     "expected_information_gain",
+    "finish_search",
     "load_designs",
     "optimal_measure",
     "radii",

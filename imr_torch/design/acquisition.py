@@ -10,7 +10,6 @@ and bounds from either side, are objects (:mod:`~imr_torch.design.gain`). In all
 and several designs at once are stacked, so their gain is the joint one.
 """
 
-from copy import copy
 from typing import get_args
 
 import torch
@@ -21,8 +20,7 @@ from torch import Tensor
 
 from imr_torch.design.gain import InformationEstimator, InformationGain, Target
 from imr_torch.design.laplace import Laplace
-from imr_torch.design.plan import Plan
-from imr_torch.design.response import Shot
+from imr_torch.design.response import Plan, Shot
 from imr_torch.design.space import DesignSpace
 from imr_torch.errors import InputDataError, ShapeError, UnsupportedError
 from imr_torch.material import Belief
@@ -144,12 +142,6 @@ class ExpectedInformationGain(AcquisitionFunction):
                 f"X_pending has shape {tuple(X_pending.shape)}; expected m x 2 with (We, R_inf*)."
             )
         super().set_X_pending(X_pending)
-
-    def with_pending(self, X_pending: Designs | None) -> "ExpectedInformationGain":
-        """A copy with other pending designs (``m x 2`` or None); this one stays as it is."""
-        other = copy(self)
-        other.set_X_pending(X_pending)
-        return other
 
     def estimate(self, designs: Designs, *, seed: int | None = None) -> InformationGain:
         """The joint gain of designs and pending designs, with its Monte Carlo error.

@@ -15,7 +15,7 @@ takes from the errors of many designs the part that all of them share.
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
 import torch
@@ -25,7 +25,6 @@ from torch import Tensor
 from imr_torch.design.response import Shot
 from imr_torch.errors import InputDataError
 from imr_torch.float64 import tensor, zeros
-from imr_torch.types import DatasetValues
 
 Target = Literal["parameters", "model", "both"]
 """What the information is to be about."""
@@ -41,7 +40,6 @@ class InformationGain:
         variance: Monte Carlo variance of the sum of the two.
         counted: draws that could be simulated.
         drawn: draws asked for.
-        bias: how far the value is above the gain on average, where an estimator says so.
         influence: influence of each draw on ``(parameters, model)``, nats; empty if the estimator
             does not say.
 
@@ -55,7 +53,6 @@ class InformationGain:
     variance: float
     counted: int
     drawn: int
-    bias: float | None = None
     influence: tuple[tuple[float, float], ...] = field(default=(), repr=False)
 
     @property
@@ -70,48 +67,22 @@ class InformationGain:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> "InformationGain":
-        """Inverse of ``dataclasses.asdict``, after JSON."""
-        influence = tuple((a, b) for a, b in values["influence"])
-        return cls(**{**values, "influence": influence})
+        """Inverse of ``dataclasses.asdict``, after JSON.
+
+        What else is there, as the design, or the ``bias`` that old versions wrote, is left out.
+        """
+        known = {own.name: values[own.name] for own in fields(cls)}
+        known["influence"] = tuple((a, b) for a, b in values["influence"])
+        return cls(**known)
 
     def of_target(self, target: Target) -> "InformationGain":
         """The gain about the parameters alone, about the model alone, or unchanged (``"both"``)."""
         if target == "both":
             return self
-        parameters, model = float(target == "parameters"), float(target == "model")
-        about = replace(self, parameters=parameters * self.parameters, model=model * self.model)
-        influence = tensor(self.influence).reshape(-1, 2)
-        return with_influence(about, influence * tensor([parameters, model]))
-
-
-@dataclass(frozen=True)
-class Terms:
-    """What the data of one model contribute to an estimate.
-
-    Args:
-        weight: probability of the model.
-        parameters: gain about the parameters from each datum.
-        model: ``m`` tensor with ``m <= n``, gain about the model from the first ``m`` data.
-        order: the numbers of all draws, those that gave a datum first and in the order of the data.
-    """
-
-    weight: float
-    parameters: DatasetValues
-    model: Float[Tensor, "shown"]
-    order: Int[Tensor, "drawn"]
-
-    def mean_gain(self) -> tuple[float, float]:
-        """Mean gain about parameters and about the model; 0 without data."""
-        if len(self.parameters) == 0:
-            return 0.0, 0.0
-        return float(self.parameters.mean()), float(self.model.mean())
-
-    def draw_influence(self) -> Float[Tensor, "drawn 2"]:
-        """Influence of each draw, in the order drawn, on the weighted means."""
-        found = zeros(len(self.order), 2)
-        found[self.order[: len(self.parameters)], 0] = mean_deviations(self.parameters)
-        found[self.order[: len(self.model)], 1] = mean_deviations(self.model)
-        return self.weight * found
+        kept = tensor([target == "parameters", target == "model"])
+        parameters, model = (kept * tensor([self.parameters, self.model])).tolist()
+        about = replace(self, parameters=parameters, model=model)
+        return with_influence(about, kept * tensor(self.influence).reshape(-1, 2))
 
 
 def mean_deviations(values: Float[Tensor, "draws *columns"]) -> Float[Tensor, "draws *columns"]:
@@ -128,19 +99,31 @@ def mean_deviations(values: Float[Tensor, "draws *columns"]) -> Float[Tensor, "d
     return (values - values.mean(0)) / math.sqrt(count * (count - 1))
 
 
-def summarise_terms(terms: Sequence[Terms]) -> InformationGain:
+def combine_models(
+    weights: Float[Tensor, "models"],
+    gains: Sequence[tuple[Float[Tensor, "_"], Float[Tensor, "_"]]],
+    orders: Sequence[Int[Tensor, "_"]],
+) -> InformationGain:
     """The gain of independent strata, one per model.
 
     Args:
-        terms: one per model.
+        weights: probabilities of the models.
+        gains: of each model, the gain about the parameters from each of its data, and about which
+            model it is from each of the first ones.
+        orders: of each model, the numbers of all draws, those that gave a datum first and in the
+            order of the data.
     """
-    means = tensor([t.mean_gain() for t in terms])
-    weights = tensor([t.weight for t in terms])
+    means = tensor([[float(own.mean()) if len(own) else 0.0 for own in pair] for pair in gains])
     parameters, model = (weights @ means).tolist()
-    parts = [t.draw_influence() for t in terms]
-    counted = sum(len(t.parameters) for t in terms)
-    drawn = sum(len(t.order) for t in terms)
-    return with_influence(InformationGain(parameters, model, 0.0, counted, drawn), torch.cat(parts))
+    influence = []
+    for weight, pair, order in zip(weights, gains, orders, strict=True):
+        found = zeros(len(order), 2)
+        for column, own in enumerate(pair):
+            found[order[: len(own)], column] = weight * mean_deviations(own)
+        influence.append(found)
+    counted = sum(len(own) for own, _ in gains)
+    gain = InformationGain(parameters, model, 0.0, counted, sum(map(len, orders)))
+    return with_influence(gain, torch.cat(influence))
 
 
 def with_influence(gain: InformationGain, influence: Float[Tensor, "draws 2"]) -> InformationGain:
@@ -220,17 +203,15 @@ class InformationEstimator(ABC):
 
 
 def check_at_least(estimator: object, least: int, *names: str) -> None:
-    """Raise unless the named integer fields of an estimator are large enough.
+    """Raise unless the named integer fields of an estimator are large enough, or None.
 
     Raises:
         InputDataError: naming the field, its value and what is needed.
     """
     for name in names:
         value = getattr(estimator, name)
-        if value < least:
-            why = (
-                "at least 2 are needed for an error estimate"
-                if least == 2
-                else f"expected {least} or more"
-            )
+        if value is not None and value < least:
+            why = f"expected {least} or more"
+            if least == 2:
+                why = "at least 2 are needed for an error estimate"
             raise InputDataError(f"{type(estimator).__name__}.{name} is {value}; {why}.")

@@ -22,19 +22,24 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from imr_torch.assimilate.options import CheckedOptions
-from imr_torch.design.drawing import Gels, draw_cloud_controls, simulate_gels
 from imr_torch.design.gain import (
     InformationEstimator,
     InformationGain,
-    Terms,
     check_at_least,
-    summarise_terms,
+    combine_models,
 )
-from imr_torch.design.likelihood import Data, Linear, infer_linear
+from imr_torch.design.likelihood import (
+    Data,
+    Gels,
+    Linear,
+    draw_cloud_controls,
+    infer_linear,
+    simulate_gels,
+)
 from imr_torch.design.response import Response, Shot, simulate_response
 from imr_torch.float64 import ones
 from imr_torch.material import ModelBelief
-from imr_torch.types import DatasetValues, DrawnControls, DrawnValues
+from imr_torch.types import BatchControlMatrix, DatasetValues, DrawnControls, DrawnValues
 
 
 @dataclass(frozen=True)
@@ -65,27 +70,22 @@ class Laplace(InformationEstimator):
     behind: float = 30.0
 
     def __post_init__(self) -> None:
-        check_at_least(self, 2, "draws")
+        check_at_least(self, 2, "draws", "rivals")
         check_at_least(self, 0, "refinements")
-        if self.rivals is not None:
-            check_at_least(self, 2, "rivals")
 
     def __call__(self, shot: Shot, generator: torch.Generator) -> InformationGain:
         """See :class:`~imr_torch.design.gain.InformationEstimator`."""
-        gels, rows, own, logs = self.compare_models(shot, generator)
+        gels, own, logs = self.compare_models(shot, generator)
         log_prior = shot.belief.log_probabilities
-        total = torch.logsumexp(torch.stack(logs) + log_prior[:, None], dim=0)
-        return summarise_terms(
-            [
-                Terms(
-                    weight,
-                    self.inform_gels(shot, shot.belief.models[i], gels.parts[i], own[i], generator),
-                    (logs[i] - total)[rows[i]][: self._rival_count],
-                    gels.orders[i],
-                )
-                for i, weight in enumerate(log_prior.exp().tolist())
-            ]
-        )
+        about_model = logs - torch.logsumexp(logs + log_prior[:, None], dim=0)
+        gains = [
+            (
+                self.inform_gels(shot, part, gels.parts[i], own[i], generator),
+                about_model[i, rows][: self._rival_count],
+            )
+            for i, (part, rows) in enumerate(zip(shot.belief.models, gels.rows, strict=True))
+        ]
+        return combine_models(log_prior.exp(), gains, gels.orders)
 
     def inform_gels(
         self,
@@ -112,33 +112,33 @@ class Laplace(InformationEstimator):
 
     def compare_models(
         self, shot: Shot, generator: torch.Generator
-    ) -> tuple[Gels, tuple[slice, ...], list[Linear], list[Tensor]]:
-        """Gels of every model, which of the data are of each, their linearised posteriors under it,
-        and for each model the log evidence of all data, NaN for those that are not compared.
-        """
+    ) -> tuple[Gels, list[Linear], Float[Tensor, "models data"]]:
+        """Gels of every model, and :meth:`weigh_models` of a datum of each."""
         gels = simulate_gels(shot, draw_cloud_controls(shot, self.draws, generator))
-        data, rows = gels.observe(shot, generator)
-        return gels, rows, *self.weigh_models(shot, gels, data, rows)
+        return gels, *self.weigh_models(shot, gels, gels.observe(shot, generator))
 
     def weigh_models(
-        self, shot: Shot, gels: Gels, data: Data, rows: tuple[slice, ...]
-    ) -> tuple[list[Linear], list[Tensor]]:
-        """The same of data that are given, one of each gel: linearised posteriors, log evidences."""
+        self, shot: Shot, gels: Gels, data: Data
+    ) -> tuple[list[Linear], Float[Tensor, "models data"]]:
+        """Of data that are given, one of each gel: their linearised posteriors under the model of
+        the gel, and for each model the log evidence of all data, NaN for those that are not
+        compared.
+        """
         own = [
-            infer_linear(data[some], part, shot.plan)
-            for some, part in zip(rows, gels.parts, strict=True)
+            infer_linear(data[rows], part, shot.plan)
+            for rows, part in zip(gels.rows, gels.parts, strict=True)
         ]
         best = torch.cat([linear.log_evidence for linear in own])
-        compared = [torch.arange(len(data))[some][: self._rival_count] for some in rows]
-        logs = []
-        for i, part in enumerate(gels.parts):
+        compared = torch.zeros(len(data), dtype=torch.bool)
+        for rows in gels.rows:
+            compared[rows][: self._rival_count] = True
+        logs = best.new_full((len(own), len(data)), math.nan)
+        for i, (part, rows) in enumerate(zip(gels.parts, gels.rows, strict=True)):
+            others = compared.clone()
+            others[rows] = False
             if len(part) == 0:
-                logs.append(torch.full_like(best, -math.inf))
-                continue
-            log = torch.full_like(best, math.nan)
-            log[rows[i]] = best[rows[i]]
-            others = torch.cat([*compared[:i], compared[i][:0], *compared[i + 1 :]])
-            if len(others):
+                logs[i] = -math.inf
+            elif bool(others.any()):
                 seen, start, short = _cut_to_window(data[others], part, shot)
                 at = refine_gels(
                     seen,
@@ -146,10 +146,10 @@ class Laplace(InformationEstimator):
                     short,
                     shot.belief.models[i],
                     self.refinements,
-                    floor=best[others] - self.behind,
+                    best[others] - self.behind,
                 )
-                log[others] = infer_linear(seen, at, short.plan).log_evidence
-            logs.append(log)
+                logs[i, others] = infer_linear(seen, at, short.plan).log_evidence
+            logs[i, rows] = best[rows]
         return own, logs
 
     @property
@@ -167,10 +167,9 @@ def _cut_to_window(data: Data, gels: Response, shot: Shot) -> tuple[Data, Respon
     return Data(data.radius[..., :last], data.window[..., :last]), kept, replace(shot, plan=plan)
 
 
-def local_precision(
-    part: ModelBelief, controls: DrawnControls
-) -> Float[Tensor, "draws controls controls"]:
-    """Precision of a belief at gels, in the controls in which its Gaussian is a standard normal.
+def local_precision(part: ModelBelief, controls: DrawnControls) -> BatchControlMatrix:
+    """Precision of a belief at ``n`` gels (``n x d x d``), in the controls in which its Gaussian is a
+    standard normal.
 
     The Gaussian's own is the identity. Where the posterior is curved, that Gaussian is far wider
     than the posterior is locally, and would count as information what is known already.
@@ -240,8 +239,7 @@ def refine_gels(
     shot: Shot,
     part: ModelBelief,
     iterations: int,
-    *,
-    floor: DatasetValues | None = None,
+    floor: DatasetValues,
 ) -> Response:
     """Gauss-Newton steps towards the maximum of the posterior density of each datum.
 
@@ -261,8 +259,7 @@ def refine_gels(
         step = here.mean - at.controls
         distance = (step[:, None] @ here.chol).norm(dim=-1)[:, 0]
         active = (distance > options.close) & (length[:, 0] > options.shortest)
-        if floor is not None:
-            active &= here.log_evidence > (floor if iteration else floor - options.start_behind)
+        active &= here.log_evidence > (floor if iteration else floor - options.start_behind)
         moving = torch.nonzero(active)[:, 0]
         if len(moving) == 0:
             break

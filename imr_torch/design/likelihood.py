@@ -1,5 +1,5 @@
-"""The likelihood of planned data: repeats, heteroscedastic and correlated noise, windows, nuisances
-as Gaussian directions.
+"""Planned data of gels drawn from a belief, and their likelihood: repeats, heteroscedastic and
+correlated noise, windows, nuisances as Gaussian directions.
 
 Data are the mean curves of all repeats, within each datum's own window. Nuisances are marginalised
 in their linear approximation: ``y = f(v) + B w + e`` with ``w`` standard normal, by the normal
@@ -9,17 +9,18 @@ tells of the gel through the noise law alone (``2 slope^2`` of the information, 
 Constants common to all gels and models are left out of log densities.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import accumulate, pairwise
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from imr_torch.assimilate.gauss_newton import NormalEquations, normal_equations
-from imr_torch.design.plan import Plan
-from imr_torch.design.response import Response, Rows
+from imr_torch.design.response import Plan, Response, Rows, Shot, simulate_response
 from imr_torch.float64 import randn
-from imr_torch.types import BroadcastValues, DrawnControls, DrawnValues
+from imr_torch.types import BatchControlMatrix, BroadcastValues, DrawnControls, DrawnValues
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,65 @@ def observe_gels(seen: Response, plan: Plan, source: torch.Generator) -> Data:
         seen.radius + (seen.by_nuisance @ nuisance)[..., 0] + noise,
         plan.frames_in_window(seen.radius),
     )
+
+
+@dataclass(frozen=True)
+class Gels:
+    """Gels of all models, drawn and simulated.
+
+    Args:
+        parts: gels of each model that could be simulated.
+        orders: ``draws`` tensor per model: the numbers of all draws, those that could be simulated
+            first.
+    """
+
+    parts: tuple[Response, ...]
+    orders: tuple[Int[Tensor, "_"], ...]
+
+    @property
+    def rows(self) -> list[slice]:
+        """Which of all gels, model after model, are of each model."""
+        ends = accumulate(map(len, self.parts), initial=0)
+        return [slice(first, end) for first, end in pairwise(ends)]
+
+    def observe(self, shot: Shot, source: torch.Generator) -> Data:
+        """A datum of each gel, model after model."""
+        data = [observe_gels(part, shot.plan, source) for part in self.parts]
+        return Data(torch.cat([d.radius for d in data]), torch.cat([d.window for d in data]))
+
+
+def draw_cloud_controls(
+    shot: Shot, draws: int, source: torch.Generator
+) -> list[Float[Tensor, "draws _"]]:
+    """Draws of each model, ``draws x d``: from its stored posterior draws (``cloud``), or its
+    Gaussian if it has none.
+    """
+    models = shot.belief.models
+    drawn = [randn(draws, len(part.names), generator=source) for part in models]
+    for i, part in enumerate(models):
+        if part.cloud is not None:
+            rows = torch.randperm(len(part.cloud.controls), generator=source)
+            rows = rows.repeat(-(-draws // len(rows)))[:draws]
+            drawn[i] = part.whitened(part.cloud.controls[rows])
+    return drawn
+
+
+def simulate_gels(
+    shot: Shot, controls: Sequence[Float[Tensor, "_ _"]], *, gel: bool = True
+) -> Gels:
+    """Simulate the gels of each model at controls.
+
+    Args:
+        shot: designs and how they are observed.
+        controls: ``draws x d`` tensor per model.
+        gel: whether sensitivities to the gel are needed.
+    """
+    seen = [
+        simulate_response(shot, part, v, gel=gel)
+        for part, v in zip(shot.belief.models, controls, strict=True)
+    ]
+    orders = tuple(torch.argsort(~every.good, stable=True) for every in seen)
+    return Gels(tuple(every[every.good] for every in seen), orders)
 
 
 def linearise_data(
@@ -92,13 +152,13 @@ class Linear:
         log_likelihood: of the datum given the gel itself.
         log_evidence: of the datum under the linearised model.
         mean: posterior mean.
-        chol: Cholesky factor of the posterior precision.
+        chol: ``n x d x d`` tensor, Cholesky factor of the posterior precision.
     """
 
     log_likelihood: DrawnValues
     log_evidence: DrawnValues
     mean: DrawnControls
-    chol: Float[Tensor, "draws controls controls"]
+    chol: BatchControlMatrix
 
     @property
     def information(self) -> DrawnValues:
@@ -106,7 +166,7 @@ class Linear:
         return self.chol.diagonal(dim1=-2, dim2=-1).log().sum(-1)
 
     @property
-    def fisher(self) -> Float[Tensor, "draws controls controls"]:
+    def fisher(self) -> BatchControlMatrix:
         """``n x d x d`` tensor ``J^T C^-1 J``, what the data add to the precision."""
         return self.chol @ self.chol.mT - torch.eye(self.chol.shape[-1], dtype=self.chol.dtype)
 

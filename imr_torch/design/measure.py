@@ -28,11 +28,9 @@ from scipy.optimize import LinearConstraint, minimize
 from torch import Tensor
 
 from imr_torch.assimilate.options import CheckedOptions
-from imr_torch.design.drawing import draw_cloud_controls
 from imr_torch.design.laplace import local_precision
-from imr_torch.design.likelihood import Data, infer_linear
-from imr_torch.design.plan import Plan
-from imr_torch.design.response import Shot, simulate_response
+from imr_torch.design.likelihood import Data, draw_cloud_controls, infer_linear
+from imr_torch.design.response import Plan, Shot, simulate_response
 from imr_torch.design.space import DesignSpace
 from imr_torch.errors import InputDataError
 from imr_torch.float64 import eye, full, tensor, zeros
@@ -42,8 +40,7 @@ from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
 from imr_torch.types import Designs, DrawnControls
 
-Candidates = Float[Tensor, "candidates 2"]
-Shares = Float[Tensor, "candidates"]
+Shares = Float[Tensor, "designs"]
 Concave = Callable[[Shares], Float[Tensor, ""]]
 
 
@@ -260,7 +257,7 @@ class DesignMeasure:
     [1, 0]
     """
 
-    designs: Candidates
+    designs: Designs
     shares: Shares
     sensitivity: Shares
     bound: float
@@ -268,7 +265,7 @@ class DesignMeasure:
     value: float
     space: DesignSpace
     options: MeasureOptions = field(repr=False)
-    evaluate: Callable[[Candidates, Shares], Float[Tensor, ""]] = field(repr=False)
+    evaluate: Callable[[Designs, Shares], Float[Tensor, ""]] = field(repr=False)
 
     @property
     def support(self) -> Int[Tensor, "support"]:
@@ -380,7 +377,7 @@ def optimal_measure(
         shot = Shot(belief, nodes, simulator, plan or Plan())
         of_nodes = _make_criterion(shot, factors, options.draws, seed)
 
-    def evaluate(designs: Candidates, numbers: Shares) -> Float[Tensor, ""]:
+    def evaluate(designs: Designs, numbers: Shares) -> Float[Tensor, ""]:
         """On average over what is shot where a design is asked for."""
         away = (designs.log()[:, None] - nodes.log()) / widths
         kernel = torch.softmax(-0.5 * away.square().sum(-1), dim=1)

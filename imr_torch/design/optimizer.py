@@ -107,8 +107,14 @@ class DesignOptimizer:
             warnings.simplefilter("ignore", NumericsWarning)
             # BoTorch tries again
             warnings.filterwarnings("ignore", "Optimization failed in", RuntimeWarning)
+            acquisition = qLogNoisyExpectedImprovement(
+                self.model(),
+                X_baseline=self.train_X,
+                prune_baseline=True,
+                X_pending=waiting if len(waiting) else None,
+            )
             known = torch.cat((self.train_X, waiting))
-            return self._maximise_acquisition(self._make_acquisition(waiting), q, known)
+            return self._maximise_acquisition(acquisition, q, known)
 
     def tell(
         self,
@@ -177,13 +183,6 @@ class DesignOptimizer:
         with torch.no_grad():
             posterior = model.posterior(design)
         return Recommendation(design[0], float(posterior.mean), float(posterior.variance.sqrt()))
-
-    def _make_acquisition(self, pending: Tensor) -> AcquisitionFunction:
-        model = self.model()
-        waiting = pending if len(pending) else None
-        return qLogNoisyExpectedImprovement(
-            model, X_baseline=self.train_X, prune_baseline=True, X_pending=waiting
-        )
 
     def _maximise_acquisition(
         self, acquisition: AcquisitionFunction, q: int, known: Designs | None = None

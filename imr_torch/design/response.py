@@ -1,13 +1,15 @@
-"""What the camera would see of draws of a belief, and how it changes with gel and nuisances.
+"""How a planned experiment will be observed, what the camera would see of draws of a belief, and how
+that changes with gel and nuisances.
 
-Of this stage, only this module calls the simulator.
+Of this stage, only this module calls the simulator. An information gain is about the data that the
+assimilation will use, so frames after the last collapse of the window do not count.
 
 Controls ``v`` are those in which the belief is a standard normal, so a sensitivity is per standard
 deviation of what is believed now, whatever the units of the parameters.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Self
 
@@ -16,11 +18,80 @@ from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from imr_torch.assimilate import ForwardModel, Point
-from imr_torch.design.plan import Plan
+from imr_torch.errors import InputDataError
+from imr_torch.float64 import linspace
 from imr_torch.material import Belief, ModelBelief
-from imr_torch.observe import Film
+from imr_torch.observe import Experiment, Film, Noise, Nuisance, collapse_time
 from imr_torch.simulate import Simulator
-from imr_torch.types import BatchControls, Designs, DrawnControls
+from imr_torch.types import BatchControls, Designs, DrawnControls, FrameValues
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How a planned experiment will be observed.
+
+    Args:
+        times: dimensionless frame times.
+        repeats: curves per design.
+        noise: observation noise of one curve.
+        nuisance: errors of the measured design and clock, marginalised.
+        collapses: collapses in the window that will be assimilated; None for all frames.
+
+    >>> from imr_torch.design import Plan
+    >>> plan = Plan(repeats=10, collapses=1)
+    >>> plan.frames_in_window(0.6 + 0.4 * torch.cos(3.0 * plan.times)).sum()  # frames up to the first minimum of a curve
+    tensor(22)
+    """
+
+    times: FrameValues = field(default_factory=lambda: linspace(0.0, 4.0, 81))
+    repeats: int = 1
+    noise: Noise = field(default_factory=Noise)
+    nuisance: Nuisance = field(default_factory=Nuisance)
+    collapses: int | None = 2
+
+    def __post_init__(self) -> None:
+        if self.repeats < 1:
+            raise InputDataError(
+                f"Plan.repeats is {self.repeats}; at least 1 curve per design is needed."
+            )
+        if self.collapses is not None and self.collapses < 1:
+            raise InputDataError(
+                f"Plan.collapses is {self.collapses}; expected at least 1, or None for all frames."
+            )
+
+    @cached_property
+    def decorrelation(self) -> Float[Tensor, "frames frames"] | None:
+        """``n_t x n_t`` inverse Cholesky factor of the frames' correlation; None for independent
+        frames.
+
+        It is lower triangular: what it makes of the first frames does not depend on later ones, so
+        a window can be cut after it.
+        """
+        factor = self.noise.decorrelation(
+            self.times[None], torch.ones(1, len(self.times), dtype=torch.bool)
+        )
+        return None if factor is None else factor[0]
+
+    def cut_to_window(self, experiment: Experiment) -> Experiment:
+        """An experiment without the frames after the last collapse of the window."""
+        if self.collapses is None:
+            return experiment
+        return experiment.until(collapse_time(experiment.times, experiment.mean, self.collapses))
+
+    def frames_in_window(
+        self, radius: Float[Tensor, "*batch frames"]
+    ) -> Bool[Tensor, "*batch frames"]:
+        """Frames of each curve (``... x n_t``) up to the last collapse of the window: a boolean
+        tensor of that shape.
+        """
+        if self.collapses is None:
+            return torch.ones_like(radius, dtype=torch.bool)
+        ends = [
+            collapse_time(self.times, curve, self.collapses)
+            for curve in radius.reshape(-1, len(self.times))
+        ]
+        last = torch.tensor(ends, dtype=self.times.dtype).reshape(*radius.shape[:-1], 1)
+        return self.times <= last
 
 
 @dataclass(frozen=True)
@@ -51,11 +122,10 @@ class Shot:
     negligible: float = 1e-4
 
     def __post_init__(self) -> None:
-        likely = self.belief.log_probabilities.exp() > self.negligible
-        parts = tuple(
-            part for part, keep in zip(self.belief.models, likely.tolist(), strict=True) if keep
-        )
-        object.__setattr__(self, "belief", Belief(parts, self.belief.log_probabilities[likely]))
+        log_probabilities = self.belief.log_probabilities
+        likely = torch.nonzero(log_probabilities.exp() > self.negligible)[:, 0]
+        models = tuple(self.belief.models[row] for row in likely)
+        object.__setattr__(self, "belief", Belief(models, log_probabilities[likely]))
 
     @cached_property
     def film(self) -> Film:
@@ -64,10 +134,6 @@ class Shot:
         return Film(
             self.designs, self.plan.times.expand(q, -1), self.plan.nuisance.sds().expand(q, -1)
         )
-
-    def forward_model(self, part: ModelBelief) -> ForwardModel:
-        """What the camera would see of one model's gels."""
-        return ForwardModel(part, self.film, self.simulator)
 
 
 class Rows:
@@ -86,7 +152,7 @@ class Response(Rows):
 
     Args:
         controls: ``n x d`` tensor.
-        radius: R/Rmax.
+        radius: R/Rmax; NaN of gels of which a bubble, or one beside it, could not be simulated.
         by_gel: sensitivity to the controls; ``d = 0`` when not asked for.
         by_nuisance: per standard deviation of the nuisances that are not known exactly.
     """
@@ -103,12 +169,11 @@ class Response(Rows):
     @property
     def good(self) -> Bool[Tensor, "draws"]:
         """Gels all of whose bubbles could be simulated."""
-        seen = torch.cat((self.radius[..., None], self.by_gel, self.by_nuisance), dim=-1)
-        return torch.isfinite(seen).flatten(1).all(1)
+        return torch.isfinite(self.radius).flatten(1).all(1)
 
     def replace_rows(self, rows: Shaped[Tensor, "rows"], others: "Response") -> "Response":
         """These gels with others in the place of some rows."""
-        pairs = [(getattr(self, f), getattr(others, f)) for f in self.__dataclass_fields__]
+        pairs = zip(vars(self).values(), vars(others).values(), strict=True)
         return Response(*(mine.index_copy(0, rows, new) for mine, new in pairs))
 
 
@@ -131,7 +196,7 @@ def radii(
     >>> radii(shot, part, torch.zeros(3, len(part.names)).double()).shape  # 81 frames
     torch.Size([3, 2, 81])
     """
-    forward = shot.forward_model(part)
+    forward = ForwardModel(part, shot.film, shot.simulator)
     return forward.predict(Point(controls, forward.mean_nuisances(*controls.shape[:-1])))
 
 
@@ -147,7 +212,7 @@ def simulate_response(
         controls: ``n x d`` tensor.
         gel: whether the sensitivity to the gel is wanted.
     """
-    forward = shot.forward_model(part)
+    forward = ForwardModel(part, shot.film, shot.simulator)
     seen = forward.bundle(Point(controls, forward.mean_nuisances(len(controls))), moves_gel=gel)
     by_gel, by_nuisance = forward.slopes(seen)
     good = torch.isfinite(seen).flatten(1).all(1)[:, None, None]  # of the gel and of all beside it

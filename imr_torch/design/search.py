@@ -8,15 +8,16 @@ cost is maximised.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 
 from imr_torch.design.acquisition import ExpectedInformationGain
 from imr_torch.design.gain import InformationGain, separate_errors
 from imr_torch.design.optimizer import DesignOptimizer, Recommendation
-from imr_torch.design.space import DesignSpace
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.float64 import tensor, zeros
 from imr_torch.random import child
@@ -34,7 +35,6 @@ class DesignSearch:
         designs: all evaluated designs.
         gains: their information gains, in the same order, each joint with the pending designs.
         optimizer: the optimizer, whose surrogate can be drawn.
-        settings: how the surrogate was made.
         pending: joint gain of the designs that were pending; None if there were none.
         earlier: the searches for the designs before, of a search for several.
 
@@ -51,7 +51,6 @@ class DesignSearch:
     designs: Designs
     gains: tuple[InformationGain, ...]
     optimizer: DesignOptimizer
-    settings: "SearchSettings"
     pending: InformationGain | None = None
     earlier: tuple["DesignSearch", ...] = ()
 
@@ -128,78 +127,70 @@ def search_design(
         waiting = [] if acquisition.X_pending is None else [acquisition.X_pending]
         waiting += [step.recommendation.design[None] for step in steps]
         own = seed if number == 0 else child(seed, "further design", number)
-        settings = SearchSettings(own, initial)
-        beside = acquisition.with_pending(torch.cat(waiting) if waiting else None)
-        steps.append(_search_one(beside, settings, seed, evaluations, batch, progress))
+        make_optimizer = partial(DesignOptimizer, acquisition.space, seed=own, initial=initial)
+        beside = copy(acquisition)
+        beside.set_X_pending(torch.cat(waiting) if waiting else None)
+        steps.append(_search_one(beside, make_optimizer, seed, evaluations, batch, progress))
     return replace(steps[-1], earlier=tuple(steps[:-1]))
 
 
-@dataclass(frozen=True)
-class SearchSettings:
-    """How the surrogate of a search is made.
+def finish_search(
+    optimizer: DesignOptimizer,
+    designs: Designs,
+    gains: Sequence[InformationGain],
+    pending: InformationGain | None,
+) -> DesignSearch:
+    """The recommendation from all evaluations; its error has the part that is common to them.
 
     Args:
-        seed: of the optimizer.
-        initial: space-filling designs.
+        optimizer: of the search, before it was told anything.
+        designs: all evaluated designs.
+        gains: their information gains, joint with the pending designs.
+        pending: joint gain of the pending designs; None if there are none.
 
     >>> designs = torch.tensor([[200.0, 0.2], [500.0, 0.2], [800.0, 0.2]], dtype=torch.float64)
     >>> gains = [InformationGain(value, 0.0, variance=0.01, counted=8, drawn=8) for value in (4.0, 6.0, 4.0)]
-    >>> best = SearchSettings(seed=0, initial=2).finish_search(DesignSpace(), designs, gains, None).recommendation
+    >>> from imr_torch.design import DesignSpace
+    >>> best = finish_search(DesignOptimizer(DesignSpace(), seed=0, initial=2), designs, gains, None).recommendation
     >>> 300.0 < float(best.design[0]) < 700.0
     True
     """
+    common = _tell_gains(optimizer, designs, gains, pending)
+    best = optimizer.recommend()
+    cost = float(optimizer.space.cost(best.design[None]))
+    sd = math.sqrt((cost * best.sd) ** 2 + common)
+    best = replace(best, mean=cost * best.mean, sd=sd)
+    return DesignSearch(best, designs, tuple(gains), optimizer, pending)
 
-    seed: int
-    initial: int
 
-    def make_optimizer(
-        self,
-        space: DesignSpace,
-        designs: Designs,
-        gains: Sequence[InformationGain],
-        pending: InformationGain | None,
-    ) -> tuple[DesignOptimizer, float]:
-        """An optimizer that was told what designs (``n x 2``) add to the pending ones, and the
-        variance common to all.
+def _tell_gains(
+    optimizer: DesignOptimizer,
+    designs: Designs,
+    gains: Sequence[InformationGain],
+    pending: InformationGain | None,
+) -> float:
+    """Tell an optimizer what designs add to the pending ones, per cost; the variance that is common
+    to all.
 
-        Evaluations too many of whose bubbles failed are left out.
-        """
-        optimizer = DesignOptimizer(space, seed=self.seed, initial=self.initial)
-        counted = [i for i, gain in enumerate(gains) if math.isfinite(gain.value)]
-        if not counted:
-            return optimizer, 0.0
-        kept = [gains[i] for i in counted]
-        base = pending.value if pending else 0.0
-        values = tensor([gain.value - base for gain in kept])
-        errors = separate_errors(kept)
-        # draws may agree exactly, and a known noise of 0 is none
-        own = errors.own.clamp_min(1e-8)
-        cost = space.cost(designs[counted])
-        optimizer.tell(designs[counted], (values / cost)[:, None], (own / cost**2)[:, None])
-        return optimizer, errors.common
-
-    def finish_search(
-        self,
-        space: DesignSpace,
-        designs: Designs,
-        gains: Sequence[InformationGain],
-        pending: InformationGain | None,
-    ) -> DesignSearch:
-        """The recommendation from all evaluations.
-
-        Its error has the part that is common to all of them.
-        """
-        optimizer, common = self.make_optimizer(space, designs, gains, pending)
-        best = optimizer.recommend()
-        cost = float(space.cost(best.design[None]))
-        sd = math.sqrt((cost * best.sd) ** 2 + common)
-        best = replace(best, mean=cost * best.mean, sd=sd)
-        return DesignSearch(best, designs, tuple(gains), optimizer, self, pending)
+    Evaluations too many of whose bubbles failed are left out.
+    """
+    counted = [i for i, gain in enumerate(gains) if math.isfinite(gain.value)]
+    if not counted:
+        return 0.0
+    kept = [gains[i] for i in counted]
+    base = pending.value if pending else 0.0
+    values = tensor([gain.value - base for gain in kept])
+    errors = separate_errors(kept)
+    # draws may agree exactly, and a known noise of 0 is none
+    own = errors.own.clamp_min(1e-8)
+    cost = optimizer.space.cost(designs[counted])
+    optimizer.tell(designs[counted], (values / cost)[:, None], (own / cost**2)[:, None])
+    return errors.common
 
 
 def _search_one(
     acquisition: ExpectedInformationGain,
-    settings: SearchSettings,
+    make_optimizer: Callable[[], DesignOptimizer],
     seed: int,
     evaluations: int,
     batch: int,
@@ -209,15 +200,15 @@ def _search_one(
 
     Args:
         acquisition: the gain, with all that is pending.
-        settings: of the surrogate.
+        make_optimizer: makes one that was told nothing.
         seed: of the draws.
         evaluations: designs to evaluate.
         batch: of which together, after the first.
         progress: called with one line per evaluation.
     """
-    space = acquisition.space
-    if space.listed is not None:
-        evaluations = min(evaluations, len(space.listed))
+    listed = acquisition.space.listed
+    if listed is not None:
+        evaluations = min(evaluations, len(listed))
     designs = zeros(0, 2)
     pending = None
     if acquisition.X_pending is not None:
@@ -229,9 +220,10 @@ def _search_one(
             )
     gains: list[InformationGain] = []
     while len(gains) < evaluations:
-        optimizer, _ = settings.make_optimizer(space, designs, gains, pending)
+        optimizer = make_optimizer()
+        _tell_gains(optimizer, designs, gains, pending)
         failed = designs[[row for row, gain in enumerate(gains) if gain.failed]]
-        count = min(batch if gains else settings.initial, evaluations - len(gains))
+        count = min(batch if gains else optimizer.initial, evaluations - len(gains))
         for design in optimizer.ask(count, pending=failed):
             gain = acquisition.estimate(design[None], seed=child(seed, "eig", 0))
             designs = torch.cat((designs, design[None]))
@@ -243,4 +235,4 @@ def _search_one(
                     f"EIG {gain.value:.3f} +- {gain.variance**0.5:.3f} nats"
                 )
                 progress(ProgressLine(text, step="design", done=len(gains), of=evaluations))
-    return settings.finish_search(space, designs, gains, pending)
+    return finish_search(make_optimizer(), designs, gains, pending)

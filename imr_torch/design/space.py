@@ -10,7 +10,7 @@ from torch import Tensor
 from imr_torch.errors import InputDataError, ShapeError
 from imr_torch.float64 import tensor
 from imr_torch.reading.load import read_contents
-from imr_torch.types import Design, Designs
+from imr_torch.types import Design, Designs, Values
 from imr_torch.units import Surroundings
 
 DESIGN_NAMES = ("We", "R_inf*")
@@ -53,8 +53,8 @@ class DesignSpace:
         """The designs (``n x 2``) that alone can be set; None where all can."""
         return None
 
-    def cost(self, designs: Designs) -> Float[Tensor, "designs"]:
-        """Cost of a shot at each design (``n x 2``) over that of an ordinary one."""
+    def cost(self, designs: Designs) -> Values:
+        """Cost of a shot at each design (``n x 2``), ``n``, over that of an ordinary one."""
         return torch.ones_like(designs[:, 0])
 
     def check_inside(self, X: Real[Tensor, "*batch 2"]) -> None:
@@ -103,7 +103,7 @@ class ListedDesigns(DesignSpace):
         """The designs (``n x 2``)."""
         return tensor(self.rows)[:, :2]
 
-    def cost(self, designs: Designs) -> Float[Tensor, "designs"]:
+    def cost(self, designs: Designs) -> Values:
         """Cost of a shot at each design (``n x 2``), as of the nearest that is listed."""
         nearest = torch.cdist(designs.log(), self.listed.log()).argmin(1)
         return tensor(self.rows)[nearest, 2]
@@ -129,21 +129,22 @@ def load_designs(path: str | Path) -> ListedDesigns:
     names = {name.strip().lower(): name for name in content.values}
     columns = []
     for what, top in (("we", 1e5), ("rinf", 0.999), ("cost", torch.inf)):
-        if what not in names:
-            if what == "cost":
-                columns.append([1.0] * len(columns[0]))
-                continue
+        if what in names:
+            values = content.entries(names[what]).tolist()
+        elif what == "cost":
+            values = [1.0] * len(columns[0])
+        else:
             raise InputDataError(
                 f"{path}: no column {what!r}; expected we, rinf (R_inf/Rmax) and, optional, cost. "
                 f"The file holds: {content.describe()}."
             )
-        columns.append(content.entries(names[what]).tolist())
-        for row, value in enumerate(columns[-1]):
+        for row, value in enumerate(values):
             if not 0.0 < value < top:
                 raise InputDataError(
                     f"{path}: row {content.lines(row)}, column {what!r} is {value:g}; expected a "
                     f"number above 0 and below {top:g}."
                 )
+        columns.append(values)
     rows = tuple(dict.fromkeys(zip(*columns, strict=True)))
     if len(rows) < 2:
         raise InputDataError(f"{path}: holds one design; list 2 or more to choose from.")

@@ -214,14 +214,14 @@ def judge_design(
         ConvergenceError: if fewer than two data of a cause could be simulated.
     """
     shot = Shot(_belief(causes, fits), design[None], simulator, plan)
-    gels, rows, _, logs = _estimator(draws).compare_models(shot, generator(seed))
+    gels, _, logs = _estimator(draws).compare_models(shot, generator(seed))
     if min(map(len, gels.parts)) < 2:
         raise ConvergenceError(
             f"Too many bubbles failed at the design {design.tolist()}; narrow the space."
         )
     log_prior = shot.belief.log_probabilities
-    posterior = torch.log_softmax(torch.stack(logs, 1) + log_prior, dim=1)
-    own = [posterior[some, i] for i, some in enumerate(rows)]
+    posterior = torch.log_softmax(logs.mT + log_prior, dim=1)
+    own = [posterior[some, i] for i, some in enumerate(gels.rows)]
     gain, error = _stratified([log - log_prior[i] for i, log in enumerate(own)], log_prior.exp())
     after, after_error = _stratified([log.exp() for log in own], log_prior.exp())
     return NextDesign(design, gain, error, dict(causes), plan, after, after_error)

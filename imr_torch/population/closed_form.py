@@ -18,7 +18,15 @@ from torch.distributions import HalfNormal
 
 from imr_torch.float64 import linspace, zeros
 from imr_torch.material import ModelBelief
-from imr_torch.types import ControlMatrix, Controls, DrawnControls, DrawnValues
+from imr_torch.types import (
+    BatchControlMatrix,
+    BatchControls,
+    ControlMatrix,
+    Controls,
+    DrawnControls,
+    DrawnValues,
+    Values,
+)
 
 MOST = 4
 """Parameters that can differ from shot to shot, at most: the grid has as many axes."""
@@ -42,9 +50,9 @@ class GaussianShots:
     True
     """
 
-    precision: Float[Tensor, "experiments controls controls"]
-    linear: Float[Tensor, "experiments controls"]
-    constant: Float[Tensor, "experiments"]
+    precision: BatchControlMatrix
+    linear: BatchControls
+    constant: Values
 
     def given(
         self,
@@ -97,7 +105,7 @@ class GivenScatter:
         evidence: log density of all data, nats.
         centre: posterior mean of the population's controls.
         chol: Cholesky factor of their posterior precision.
-        covariance: of each shot's controls given the population's.
+        covariance: ``n x E x d x d`` tensor, of each shot's controls given the population's.
         factor: a square root of it.
     """
 
@@ -105,11 +113,11 @@ class GivenScatter:
     evidence: DrawnValues
     centre: DrawnControls
     chol: Float[Tensor, "draws controls controls"]
-    covariance: Float[Tensor, "draws experiments controls controls"]
-    factor: Float[Tensor, "draws experiments controls controls"]
+    covariance: BatchControlMatrix
+    factor: BatchControlMatrix
 
-    def shot_means(self, centre: DrawnControls) -> Float[Tensor, "draws experiments controls"]:
-        """Mean of each shot's controls given the population's."""
+    def shot_means(self, centre: DrawnControls) -> BatchControls:
+        """Mean of each shot's controls given the population's: ``n x E x d``."""
         A = self.shots.precision
         b = self.shots.linear
         pull = b - (A @ centre[:, None, :, None])[..., 0]

@@ -15,11 +15,10 @@ nothing.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations
+from itertools import chain, combinations
 
-import scipy  # whose parts are imported when they are used; `stats` takes long
 import torch
 
 from imr_torch.assimilate import (
@@ -28,7 +27,6 @@ from imr_torch.assimilate import (
     Assimilation,
     FrameNoise,
     FrameNoisePrior,
-    Posterior,
     SearchOptions,
     assimilate,
     infer_frame_noise,
@@ -43,7 +41,7 @@ from imr_torch.observe import Experiment, ExperimentBatch, Noise
 from imr_torch.observe.noise import FEWEST_RESIDUALS
 from imr_torch.population.closed_form import MOST
 from imr_torch.population.likelihood import ShotLikelihood
-from imr_torch.population.result import BayesFactor, Population, ScaleCheck, Trend
+from imr_torch.population.result import BayesFactor, Population, ScaleCheck
 from imr_torch.population.sampling import (
     Problem,
     WeightedPopulation,
@@ -118,6 +116,13 @@ def fit_shots(
     current = None
     fits = []
     steps = (rounds + 2) * len(labels)  # fits of every round, then draws
+
+    def report_shot(what: str, label: str, done: int, state: str) -> None:
+        if progress:
+            step = f"{what}: {label}"
+            text = f"{step}, {done}/{steps}, {state}"
+            progress(ProgressLine(text, stage="shots", step=step, done=done, of=steps))
+
     for number in range(rounds + 1):
         last = number == rounds
         how = options if last else replace(options, gradient=early[0], agreement=early[1])
@@ -130,11 +135,8 @@ def fit_shots(
             found.append(
                 assimilate(belief, batch, simulator, seed=own, options=how, near=before, warn=False)
             )
-            if progress:
-                done = number * len(labels) + len(found)
-                text = f"shots: {experiment.label}, {done}/{steps}, round {number + 1}"
-                step = f"shots: {experiment.label}"
-                progress(ProgressLine(text, stage="shots", step=step, done=done, of=steps))
+            done = number * len(labels) + len(found)
+            report_shot("shots", experiment.label, done, f"round {number + 1}")
         fits = found
         if not last:
             current = share_noise(fits, law, simulator, widen=number + 1 == rounds)
@@ -143,10 +145,8 @@ def fit_shots(
     weighted = []
     for fit, label in zip(fits, labels, strict=True):
         weighted.append(weigh(fit, simulator, seed=child(seed, "weigh", label), samples=samples))
-        if progress:
-            done = steps - len(labels) + len(weighted)
-            text = f"draws: {label}, {done}/{steps}, {weighted[-1].fits[0].trust}"
-            progress(ProgressLine(text, step=f"draws: {label}", done=done, of=steps))
+        done = steps - len(labels) + len(weighted)
+        report_shot("draws", label, done, weighted[-1].fits[0].trust)
     return tuple(weighted)
 
 
@@ -164,13 +164,11 @@ def share_noise(
         simulator: makes the bubbles.
         widen: see :func:`imr_torch.assimilate.noise_estimation.with_inferred_noise`.
     """
-    pairs = [(found.fits[0], found.batch) for found in fits]
-    if (
-        sum(float(batch.mask.sum()) - freedom_of(fit, batch) for fit, batch in pairs)
-        < FEWEST_RESIDUALS
-    ):
+    frames = sum(float(found.batch.mask.sum()) for found in fits)
+    taken = sum(freedom_of(found.fits[0], found.batch) for found in fits)
+    if frames - taken < FEWEST_RESIDUALS:
         return None
-    near = [Posterior(fit.prior, batch, simulator).neighbourhood(fit.point) for fit, batch in pairs]
+    near = [found.fits[0].linearise(found.batch, simulator) for found in fits]
     return infer_frame_noise(near, FrameNoisePrior(law)).for_fits(widen=widen)
 
 
@@ -218,26 +216,31 @@ def infer_population(
     units = coordinate_units(prior)
     columns = [names.index(name) for name in (varying or prior.of_gel)]
 
-    def pose_problem(which: Sequence[int], width: float) -> Problem:
+    def draw_population(
+        which: Sequence[int], width: float, count: int, *key: str | int
+    ) -> WeightedPopulation:
         scales = zeros(len(names))
         scales[list(which)] = width / units[list(which)]
-        return Problem(shots, prior, scales)
+        source = generator(child(seed, *key))
+        return sample_population(Problem(shots, prior, scales), count, source)
 
-    found = sample_population(
-        pose_problem(columns, scale), draws, generator(child(seed, "population"))
-    )
-    evidence = _weigh_sets(pose_problem, columns, scale, draws // 2, seed)
+    def draw_sets(width: float) -> dict[tuple[int, ...], WeightedPopulation]:
+        """Of every set of the parameters that may vary."""
+        sizes = range(len(columns) + 1)
+        sets = chain.from_iterable(combinations(columns, size) for size in sizes)
+        return {
+            which: draw_population(which, width, draws // 2, "evidence", *which) for which in sets
+        }
+
+    found = draw_population(columns, scale, draws, "population")
+    evidence = draw_sets(scale)
     checks = []
     for width in (0.5 * scale, 2.0 * scale):
-        other = sample_population(
-            pose_problem(columns, width), draws, generator(child(seed, "population"))
-        )
+        other = draw_population(columns, width, draws, "population")
         intervals = {
             names[i]: other.take_quantiles(other.scatter[:, i] * units[i]).tolist() for i in columns
         }
-        sets = _weigh_sets(pose_problem, columns, width, draws // 2, seed)
-        checks.append(ScaleCheck(width, _bayes_factor(sets, columns), intervals))
-    by_parameter = {names[i]: _bayes_factor(evidence, [i]) for i in columns}
+        checks.append(ScaleCheck(width, _bayes_factor(draw_sets(width), columns), intervals))
     return Population(
         prior=prior,
         shots=shots,
@@ -249,9 +252,8 @@ def infer_population(
         found=found,
         log_evidence=float(found.log_evidences[0]),
         any_scatter=_bayes_factor(evidence, columns),
-        by_parameter=by_parameter,
+        by_parameter={names[i]: _bayes_factor(evidence, [i]) for i in columns},
         checks=tuple(checks),
-        trends=_find_trends(shots, fits, names),
     )
 
 
@@ -308,58 +310,21 @@ def _check_shots(
     return prior
 
 
-def _weigh_sets(
-    pose_problem: Callable[[Sequence[int], float], Problem],
-    columns: Sequence[int],
-    scale: float,
-    draws: int,
-    seed: int,
-) -> dict[tuple[int, ...], WeightedPopulation]:
-    """Draws for every set of parameters that may vary."""
-    found = {}
-    for size in range(len(columns) + 1):
-        for which in combinations(columns, size):
-            source = generator(child(seed, "evidence", *which))
-            found[which] = sample_population(pose_problem(which, scale), draws, source)
-    return found
-
-
 def _bayes_factor(
     evidence: Mapping[tuple[int, ...], WeightedPopulation], columns: Sequence[int]
 ) -> BayesFactor:
     """Mean evidence of the sets in which one of some parameters varies, over that of the others."""
     means = []
-    own = 0.0
+    variance = 0.0
     for varies in (True, False):
         some = [found for s, found in evidence.items() if varies is bool(set(s) & set(columns))]
         logs = torch.stack([found.log_evidences for found in some])
         means.append(torch.logsumexp(logs, 0) - math.log(len(some)))
-        shares = torch.softmax(logs[:, 0], 0).tolist()
-        errors = [found.evidence_error for found in some]
-        own += sum((p * error) ** 2 for p, error in zip(shares, errors, strict=True))
+        errors = tensor([found.evidence_error for found in some])
+        variance += float((torch.softmax(logs[:, 0], 0) * errors).square().sum())
     difference = means[0] - means[1]
     return BayesFactor(
         float(difference[0]),
-        math.hypot(math.sqrt(own), jackknife_error(difference[1:])),
+        math.hypot(math.sqrt(variance), jackknife_error(difference[1:])),
         all(found.reliable for found in evidence.values()),
-    )
-
-
-def _find_trends(
-    shots: Sequence[ShotLikelihood],
-    fits: Sequence[Assimilation],
-    names: Sequence[str],
-    *,
-    fewest: int = 4,
-) -> tuple[Trend, ...]:
-    """Rank correlation (Kendall) of each parameter of ``fewest`` shots or more with their Weber
-    number, and so with the size of the bubble.
-    """
-    weber = torch.cat([fit.batch.designs[:, 0] for fit in fits])
-    if len(shots) < fewest or float(weber.amin() / weber.amax()) > 1.0 - 1e-6:
-        return ()
-    values = torch.stack([shot.mean for shot in shots], 1)
-    return tuple(
-        Trend(name, *map(float, scipy.stats.kendalltau(weber, own)))
-        for name, own in zip(names, values, strict=True)
     )

@@ -91,11 +91,11 @@ class ShotLikelihood:
             InputDataError: if the fit has no weighted draws.
         """
         (fit,) = shot.fits
-        (label,) = (experiment.label for experiment in shot.batch.experiments)
+        (experiment,) = shot.batch.experiments
         sample = fit.sample
         if sample is None:
             raise InputDataError(
-                f"The fit of {fit.model!r} to {label!r} has no weighted draws; pass it through "
+                f"The fit of {fit.model!r} to {experiment.label!r} has no weighted draws; pass it through "
                 "`weigh` first."
             )
         possible = torch.isfinite(sample.by_experiment.sum(1))
@@ -127,7 +127,7 @@ class ShotLikelihood:
         constant = float(coefficients[0, 0])
         coefficients[:, 0] -= constant
         return cls(
-            label=label,
+            label=experiment.label,
             precision=precision,
             linear=linear,
             constant=constant,
@@ -143,20 +143,18 @@ class ShotLikelihood:
             and fit.verdict in (Verdict.TRUSTED, Verdict.REPAIRED),
         )
 
-    def correct_quadratic(self, controls: BatchControls) -> Float[Tensor, "*batch groups"]:
-        """The polynomial at ``... x d`` controls, of all draws and without each group: ``... x (1 +
-        GROUPS)``.
+    def log_probs(self, controls: BatchControls) -> Float[Tensor, "*batch groups"]:
+        """Log likelihood at ``... x d`` controls, nats, of all draws and without each group: ``... x
+        (1 + GROUPS)``.
         """
         whitened = (controls - self.centre) @ self.unscale.mT
-        return _evaluate_monomials(whitened, self.monomials, self.reach) @ self.coefficients.mT
+        polynomial = _evaluate_monomials(whitened, self.monomials, self.reach)
+        quadratic = self.constant + quadratic_form(controls, self.precision, self.linear)
+        return quadratic[..., None] + polynomial @ self.coefficients.mT
 
     def log_prob(self, controls: DrawnControls) -> DrawnValues:
-        """Log likelihood at ``n x d`` controls, nats: ``n``."""
-        return (
-            self.constant
-            + quadratic_form(controls, self.precision, self.linear)
-            + self.correct_quadratic(controls)[..., 0]
-        )
+        """The same of all draws, at ``n x d`` controls: ``n``."""
+        return self.log_probs(controls)[:, 0]
 
 
 def quadratic_form(controls: Tensor, precision: Tensor, linear: Tensor) -> Tensor:

@@ -5,8 +5,10 @@ as text and for JSON.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
+import scipy  # whose parts are imported when they are used; `stats` takes long
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -74,7 +76,7 @@ class ScaleCheck:
 
 @dataclass(frozen=True)
 class Trend:
-    """Rank correlation of a parameter with the Weber number of the shots.
+    """Rank correlation (Kendall) of a parameter with the Weber number of the shots.
 
     Args:
         name: of the parameter.
@@ -105,7 +107,6 @@ class Population:
         by_parameter: evidence of scatter of each parameter against none of it, whatever else
             varies.
         checks: the answer with the prior's scale halved and doubled.
-        trends: of each parameter with the size of the bubble; none where the sizes are the same.
         roughly_decisive: nats that decide where draws are not reliable, as of one gel for shots that
             agree nowhere.
         missed_from: times as wide as frames alone say, from which on it is said that the model
@@ -140,7 +141,6 @@ class Population:
     any_scatter: BayesFactor
     by_parameter: Mapping[str, BayesFactor]
     checks: tuple[ScaleCheck, ...]
-    trends: tuple[Trend, ...]
     roughly_decisive: float = 10.0
     missed_from: float = 1.5
     rough_from: float = 1.0
@@ -150,6 +150,20 @@ class Population:
     def labels(self) -> tuple[str, ...]:
         """Of the shots."""
         return tuple(shot.label for shot in self.shots)
+
+    @cached_property
+    def trends(self) -> tuple[Trend, ...]:
+        """Of each parameter of four shots or more with the size of the bubble; none where the sizes
+        are the same.
+        """
+        weber = self.designs[:, 0]
+        if len(self.shots) < 4 or float(weber.amin() / weber.amax()) > 1.0 - 1e-6:
+            return ()
+        values = torch.stack([shot.mean for shot in self.shots], 1)
+        return tuple(
+            Trend(name, *map(float, scipy.stats.kendalltau(weber, own)))
+            for name, own in zip(self.prior.names, values, strict=True)
+        )
 
     @property
     def verdict(self) -> str:
@@ -204,12 +218,8 @@ class Population:
         scatter, in posterior sd.
         """
         column = self.prior.names.index(name)
-        found = []
-        for values in (self.found.centre[:, column], self.found.scatter[:, column]):
-            mean, error = self.found.mean_error(values)
-            sd = float((self.found.weights @ (values - mean).square()).sqrt())
-            found.append(error / sd if sd > 0.0 else 0.0)
-        return found[0], found[1]
+        centre = self.found.relative_error(self.found.centre[:, column])
+        return centre, self.found.relative_error(self.found.scatter[:, column])
 
     def _find_interval(self, controls: Tensor, name: str) -> Interval:
         column = self.prior.names.index(name)
@@ -249,8 +259,8 @@ class Population:
             entry: dict[str, Any] = {
                 "median": self.median(name),
                 "next_shot": self.next_shot(name),
+                "error": dict(zip(("median", "scatter"), self.error(name), strict=True)),
             }
-            entry["error"] = dict(zip(("median", "scatter"), self.error(name), strict=True))
             if name in self.varying:
                 unit = f"{name} in standard deviations of its prior"
                 entry |= {

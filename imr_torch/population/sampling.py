@@ -30,7 +30,7 @@ from imr_torch.material import ModelBelief
 from imr_torch.material.model_belief import LEVELS
 from imr_torch.population.closed_form import GaussianShots, grid_scatters, positive_part
 from imr_torch.population.likelihood import ShotLikelihood, quadratic_form, solve_weighted
-from imr_torch.types import Controls, DrawnControls, DrawnValues
+from imr_torch.types import BatchControls, Controls, DrawnControls, DrawnValues
 
 
 @dataclass(frozen=True)
@@ -48,15 +48,6 @@ class Problem:
     prior: ModelBelief
     scale: Controls
 
-    @cached_property
-    def gaussian(self) -> GaussianShots:
-        """The quadratic parts of the likelihoods."""
-        return GaussianShots(
-            torch.stack([s.precision for s in self.shots]),
-            torch.stack([s.linear for s in self.shots]),
-            tensor([s.constant for s in self.shots]),
-        )
-
 
 @dataclass(frozen=True)
 class WeightedPopulation(SmoothedWeights):
@@ -65,17 +56,15 @@ class WeightedPopulation(SmoothedWeights):
     Args:
         scatter: of the controls.
         centre: the population's controls.
-        shots: each shot's controls.
+        shots: ``n x E x d`` tensor, each shot's controls.
         log_weights: from all draws of the shots, and without each group of them; the mean of
             their exponentials estimates the evidence.
-        refits: times that the Gaussian parts were fitted again.
     """
 
     scatter: DrawnControls
     centre: DrawnControls
-    shots: Float[Tensor, "draws experiments controls"]
+    shots: BatchControls
     log_weights: Float[Tensor, "draws groups"]
-    refits: int = 0
 
     @cached_property
     def _smoothed_tail(self) -> tuple[Tensor, float]:
@@ -103,14 +92,15 @@ class WeightedPopulation(SmoothedWeights):
         """5, 50 and 95 % quantile of ``n`` values."""
         return weighted_quantiles(values, self.weights, tensor(LEVELS))
 
-    def mean_error(self, values: DrawnValues) -> tuple[float, float]:
-        """Mean of ``n`` values and its Monte Carlo standard error, by these draws and by those of
-        the shots.
+    def relative_error(self, values: DrawnValues) -> float:
+        """Monte Carlo standard error of the mean of ``n`` values, by these draws and by those of the
+        shots, in posterior standard deviations; 0 where there is no other value.
         """
+        sd = float((self.weights @ (values - self.weights @ values).square()).sqrt())
         weights = torch.softmax(self.log_weights, 0)
         means = weights.mT @ values
-        own = (weights[:, 0].square() @ (values - means[0]).square()).sqrt()
-        return float(self.weights @ values), math.hypot(float(own), jackknife_error(means[1:]))
+        own = float((weights[:, 0].square() @ (values - means[0]).square()).sqrt())
+        return math.hypot(own, jackknife_error(means[1:])) / sd if sd > 0.0 else 0.0
 
 
 def jackknife_error(values: Float[Tensor, "groups"]) -> float:
@@ -138,17 +128,22 @@ def sample_population(
         chunk: draws at once.
     """
 
-    def draw_weighted(gaussian: GaussianShots, number: int) -> WeightedPopulation:
+    def draw_weighted(gaussian: GaussianShots) -> WeightedPopulation:
         scatter, log_ratio = _draw_scatters(problem, gaussian, draws, source)
         parts = [_draw_gels(problem, gaussian, rows, source) for rows in scatter.split(chunk)]
         centre, shots, log_weights = (torch.cat(x) for x in zip(*parts, strict=True))
-        return WeightedPopulation(scatter, centre, shots, log_weights + log_ratio[:, None], number)
+        return WeightedPopulation(scatter, centre, shots, log_weights + log_ratio[:, None])
 
-    best = draw_weighted(problem.gaussian, 0)
-    for number in range(1, refits + 1):
+    quadratics = GaussianShots(
+        torch.stack([shot.precision for shot in problem.shots]),
+        torch.stack([shot.linear for shot in problem.shots]),
+        tensor([shot.constant for shot in problem.shots]),
+    )
+    best = draw_weighted(quadratics)
+    for _ in range(refits):
         if best.effective_samples >= enough * draws and best.pareto_k < largest_shape(draws):
             break
-        other = draw_weighted(_refit_gaussians(problem, best), number)
+        other = draw_weighted(_refit_gaussians(problem, best))
         best = max(best, other, key=lambda found: found.effective_samples)
     return best
 
@@ -212,10 +207,7 @@ def _draw_gels(
         noise = torch.cat((half, -half), 1)
         gels = means[:, e, None] + noise @ given.factor[:, e].mT
         gaussian_part = quadratic_form(gels, gaussian.precision[e], gaussian.linear[e])
-        base = (
-            shot.constant - gaussian.constant[e] + quadratic_form(gels, shot.precision, shot.linear)
-        )
-        left = shot.correct_quadratic(gels) + (base - gaussian_part)[..., None]
+        left = shot.log_probs(gels) - (gaussian.constant[e] + gaussian_part)[..., None]
         chosen = torch.multinomial(torch.softmax(left[..., 0], 1), 1, generator=source)[:, 0]
         shots.append(gels[torch.arange(count), chosen])
         missed.append(torch.logsumexp(left, 1) - math.log(each))

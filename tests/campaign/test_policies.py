@@ -245,6 +245,17 @@ def test_that_several_designs_are_asked_for_at_once_each_beside_those_before_it(
         run.ask_several(0)
 
 
+def test_that_a_search_is_rebuilt_from_the_journal_of_an_old_version(tmp_path):
+    proposal = campaign(tmp_path, policy=QUICK).ask()
+    start, asked = Journal(tmp_path).events
+    asked["search"] |= {"common": True, "strategy": None, "cost": None}
+    for row in asked["evaluations"]:
+        row["bias"] = None
+    rewritten(tmp_path, [start, asked])
+    search = campaign(tmp_path, policy=QUICK).search(1)
+    assert torch.equal(search.recommendation.design, proposal.design)
+
+
 @pytest.mark.parametrize("policy", [QUICK, SpaceFilling()], ids=["optimal", "space-filling"])
 def test_that_a_campaign_of_several_designs_at_once_resumes_to_the_same_journal(tmp_path, policy):
     kinds = {"policy": policy}

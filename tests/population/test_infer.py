@@ -30,6 +30,7 @@ from imr_torch.observe import (
 )
 from imr_torch.population import Population, ShotLikelihood, fit_shots, infer_population
 from imr_torch.population.infer import share_noise
+from imr_torch.population.likelihood import quadratic_form
 from imr_torch.population.sampling import Problem, jackknife_error, sample_population
 from imr_torch.random import generator
 from tests.curved import CurvedSimulator
@@ -239,13 +240,12 @@ def test_that_curved_shots_give_what_quadrature_over_gels_and_scatter_gives() ->
     total = tensor(*evidence) + half_normal
     exact = float(torch.logsumexp(total, 0)) + math.log(float(scatters[1] - scatters[0]))
     assert max(shot.misses for shot in population.shots) < 0.2
-    assert (
-        max(
-            float(shot.correct_quadratic(shot.mean + 2.0 * shot.sd).abs().max())
-            for shot in population.shots
-        )
-        > 0.5
-    )  # not Gaussian
+    corrections = []
+    for shot in population.shots:
+        far = shot.mean + 2.0 * shot.sd
+        quadratic = shot.constant + quadratic_form(far, shot.precision, shot.linear)
+        corrections.append(float((shot.log_probs(far) - quadratic).abs().max()))
+    assert max(corrections) > 0.5  # not Gaussian
     assert population.log_evidence == pytest.approx(exact, abs=0.15)
     mean = float(torch.softmax(total, 0) @ scatters)
     sd = float((torch.softmax(total, 0) @ (scatters - mean).square()).sqrt())

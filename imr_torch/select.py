@@ -1,21 +1,44 @@
-"""Model evidence, the probability of the data under a model, and the probabilities of models by
-Bayes' rule, prior times evidence, both with their Monte Carlo error.
+"""Model selection, and what the data say of each parameter.
 
-``log p(y) = log int p(y | v, w) p(v) p(w) dv dw`` over the gel and the nuisances, from the draws
+Evidence is the probability of the data under a model, and the probabilities of models follow by
+Bayes' rule, prior times evidence, both with their Monte Carlo error.
+``log p(y) = log int p(y | v, w) p(v) p(w) dv dw`` over the gel and the nuisances is from the draws
 that :func:`imr_torch.assimilate.weigh` has weighted by the exact posterior; the same draws give
 moments and verdict.
+
+A parameter is bounded by the data on both sides, on one, or not at all. Its marginal likelihood is
+its posterior over its prior. Between Gaussians of the coordinate in which the prior is a standard
+normal it is a Gaussian too, so how far it falls towards either end of the prior follows from two
+moments (Raue et al., Bioinformatics 25, 2009, call a profile that does not fall a practical
+non-identifiability).
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum
 
 import torch
 
-from imr_torch.assimilate import Assimilation, ImportanceSample, ModelFit, Verdict
+from imr_torch.assimilate import Assimilation, ModelFit, Verdict
 from imr_torch.errors import InputDataError
 from imr_torch.float64 import eye, tensor
-from imr_torch.material import Belief
+from imr_torch.material import PARAMETERS, Belief, ModelBelief, Parameter
+
+__all__ = [
+    "Bound",
+    "Evidence",
+    "Identifiability",
+    "evidences",
+    "identifiability",
+    "log_evidence",
+    "probability_errors",
+    "update",
+]
+
+FALL = 1.920729
+"""Nats that the likelihood falls at the end of a 95 % interval: half the 95 % quantile of chi-square
+with one degree of freedom."""
 
 
 @dataclass(frozen=True)
@@ -77,28 +100,22 @@ def log_evidence(fit: ModelFit) -> Evidence:
             f"The fit of {fit.model!r} has no weighted draws; pass its assimilation through "
             "`weigh` first."
         )
+    error = sample.log_evidence_error
+    if fit.verdict is Verdict.REFUSED:
+        # The moments found are not those that the proposal was made for, so draws may lack a part of
+        # the posterior, which their weights do not show: the divergence between the two is added,
+        # 100 nats for one that cannot be computed.
+        missed = sample.surprise if math.isfinite(sample.surprise) else 100.0
+        error = math.hypot(sample.doubtful_error, max(missed, 0.0))
     return Evidence(
         fit.model,
         sample.log_evidence,
-        _standard_error(fit, sample),
+        error,
         sample.effective_samples,
         len(sample),
         sample.failed,
         sample.pareto_k,
     )
-
-
-def _standard_error(fit: ModelFit, sample: ImportanceSample) -> float:
-    """Standard error of a log evidence, nats.
-
-    Where the moments found are not those that the proposal was made for, draws may lack a part of
-    the posterior, and their weights do not show it: the divergence between the two is added.
-    """
-    if fit.verdict is not Verdict.REFUSED:
-        return sample.log_evidence_error
-    # 100 nats for a divergence that cannot be computed
-    missed = sample.surprise if math.isfinite(sample.surprise) else 100.0
-    return math.hypot(sample.doubtful_error, max(missed, 0.0))
 
 
 def evidences(assimilation: Assimilation) -> tuple[Evidence, ...]:
@@ -183,9 +200,7 @@ def probability_errors(prior: Belief, evidence: Sequence[Evidence]) -> dict[str,
     after = torch.softmax(prior.log_probabilities + values[:, 0], dim=0)
     slopes = after[:, None] * (eye(len(after)) - after)
     errors = (slopes.square() @ values[:, 1].square()).sqrt()
-    errors = errors.minimum(
-        torch.maximum(after, 1.0 - after)
-    )  # a probability cannot be farther off
+    errors = errors.minimum(after.maximum(1.0 - after))  # a probability cannot be farther off
     return dict(zip(prior.keys, errors.tolist(), strict=True))
 
 
@@ -195,3 +210,92 @@ def _check_models(prior: Belief, evidence: Sequence[Evidence]) -> None:
             f"Evidence of {[e.model for e in evidence]} does not match the belief over "
             f"{list(prior.keys)}."
         )
+
+
+class Bound(Enum):
+    """What the data bound.
+
+    >>> from imr_torch.select import Bound
+    >>> Bound.ABOVE.value
+    'only bounded from above'
+    """
+
+    BOTH = "bounded by the data on both sides"
+    ABOVE = "only bounded from above"
+    BELOW = "only bounded from below"
+    NEITHER = "not determined: the interval is that of the prior"
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """How far the data determine a parameter.
+
+    Args:
+        parameter: which.
+        bound: on which sides.
+        limit: the one-sided 95 % limit, SI; None where both sides are bounded, or neither.
+
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.select import identifiability
+    >>> prior = wide_prior(["nhkv"])["nhkv"]
+    >>> [found.bound.name for found in identifiability(prior, prior)]  # nothing was learnt
+    ['NEITHER', 'NEITHER']
+    """
+
+    parameter: Parameter
+    bound: Bound
+    limit: float | None
+
+    @property
+    def words(self) -> str:
+        """A phrase such as ``"only bounded from above: below 0.07 (95 %)"``."""
+        if self.limit is None:
+            return self.bound.value
+        value = f"{self.parameter.display_scale * self.limit:.3g} {self.parameter.shown_unit}"
+        side = "below" if self.bound is Bound.ABOVE else "above"
+        return f"{self.bound.value}: {side} {value.rstrip()} (95 %)"
+
+
+def identifiability(
+    prior: ModelBelief, posterior: ModelBelief, *, end: float = 2.5
+) -> tuple[Identifiability, ...]:
+    """What data say of each free parameter of a model.
+
+    Args:
+        prior: the model's belief before them.
+        posterior: its belief after them.
+        end: prior standard deviations from the prior median to the ends of what was thought
+            possible.
+
+    >>> import torch
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.select import identifiability
+    >>> prior = wide_prior(["nhkv"])["nhkv"]
+    >>> mean, sds = torch.tensor([-1.6, 0.1]).double(), torch.tensor([0.6, 0.05]).double()  # G is small, mu is known
+    >>> for found in identifiability(prior, prior.with_gaussian(mean, torch.diag(sds))):
+    ...     print(found.parameter.name, found.words)
+    G only bounded from above: below 1.86 kPa (95 %)
+    mu bounded by the data on both sides
+    """
+    before, after = (part.chol @ part.chol.mT for part in (prior, posterior))
+    sds = before.diagonal().sqrt()
+    mean = (posterior.mean - prior.mean) / sds
+    variance = after.diagonal() / sds.square()
+    precision = (1.0 / variance - 1.0).clamp_min(0.0)  # of the likelihood
+    centre = torch.where(precision > 0.0, mean / (variance * precision.clamp_min(1e-300)), 0.0)
+    inside = centre.clamp(-end, end)  # where the likelihood is largest within the prior
+    largest = 0.5 * precision * (inside - centre).square()
+    falls = [0.5 * precision * (side - centre).square() - largest > FALL for side in (-end, end)]
+    kinds = {
+        (True, True): Bound.BOTH,
+        (True, False): Bound.BELOW,
+        (False, True): Bound.ABOVE,
+        (False, False): Bound.NEITHER,
+    }
+    columns = torch.stack((*falls, *posterior.quantile([0.05, 0.95])), 1).tolist()
+    found = []
+    for name, (falls_below, falls_above, least, most) in zip(prior.names, columns, strict=True):
+        bound = kinds[falls_below, falls_above]
+        limit = {Bound.BELOW: least, Bound.ABOVE: most}.get(bound)
+        found.append(Identifiability(PARAMETERS[name], bound, limit))
+    return tuple(found)
