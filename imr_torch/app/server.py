@@ -32,7 +32,8 @@ _COLOUR = "#0072b2"
 _STYLE = """
 .nicegui-content { max-width: 76rem; margin: 0 auto; width: 100%; }
 .q-tab { padding: 0 clamp(4px, 1.6vw, 16px); min-width: 0; } .q-tab__label { white-space: nowrap; }
-.problem { color: #a03c00; overflow-wrap: anywhere; } .quiet { color: #555; }
+.problem { color: #a03c00; } .quiet { color: #555; } .lines { white-space: pre-wrap; }
+.problem, .quiet, .lines { overflow-wrap: anywhere; }
 .command { font-family: ui-monospace, monospace; font-size: .85rem; white-space: pre-wrap; overflow-wrap: anywhere;
   background: #f4f4f4; padding: .5rem .7rem; border-radius: 4px; width: 100%; box-sizing: border-box; }
 iframe.page { width: 100%; height: 78vh; border: 1px solid #ccc; background: #fff; }

@@ -58,7 +58,7 @@ class FilesView:
             if len(traces):
                 read = f"What was read: {len(traces)} curve(s)"
                 with ui.expansion(read, icon="list").classes("w-full"):
-                    ui.label(traces.report()).style("white-space: pre-wrap").classes("text-body2")
+                    ui.label(traces.report()).classes("lines text-body2")
                 ui.button("Look at the curves", on_click=lambda: self.go("Curves")).props("no-caps")
 
     def _draw_file(self, file: FileState) -> None:
@@ -67,15 +67,13 @@ class FilesView:
                 f'flat dense round aria-label="Set {file.name} aside"'
             )
             with ui.column().classes("gap-0"):
-                ui.label(file.name).style("overflow-wrap: anywhere")
+                ui.label(file.name).classes("lines")
                 held = (
                     f"{file.curves} curve(s)"
                     if file.curves
                     else f"{file.shots} shot(s) of collapse times"
                 )
-                ui.label(file.problem or held).classes(
-                    "problem" if file.problem else "quiet"
-                ).style("overflow-wrap: anywhere")
+                ui.label(file.problem or held).classes("problem" if file.problem else "quiet")
 
     def _draw_layout(self) -> None:
         """How the files are to be read, where their names do not say it."""

@@ -53,7 +53,7 @@ class MediumView:
             ),
         ).props("no-caps")
         with problems_shown():
-            ui.label(self.workspace.find_medium().report()).style("white-space: pre-wrap")
+            ui.label(self.workspace.find_medium().report()).classes("lines")
 
     def _set_medium(self, name: str, values: dict[str, tuple[float | None, float | None]]) -> None:
         with problems_notified():

@@ -16,8 +16,7 @@ from pathlib import Path
 
 from imr_torch.characterization import medium_of
 from imr_torch.errors import ImrError, InputDataError
-from imr_torch.example import example_gel
-from imr_torch.files import read_json, write_bytes, write_json
+from imr_torch.files import example_gel, read_json, write_bytes, write_json
 from imr_torch.observe import (
     SUFFIXES,
     GelMedium,

@@ -19,8 +19,7 @@ from imr_torch.characterization.bands import (
     find_patterns,
     predictive_band,
 )
-from imr_torch.characterization.checks import EFFORTS
-from imr_torch.characterization.medium import medium_document
+from imr_torch.characterization.request import EFFORTS, medium_document
 from imr_torch.characterization.saved import SavedCharacterization, draws_to_dict
 from imr_torch.document import header
 from imr_torch.files import Document, drawn_numbers, without_nonfinite, write_json

@@ -13,8 +13,8 @@ from typing import Any
 
 from imr_torch.assimilate import En4DVarOptions, FitOptions, SearchOptions
 from imr_torch.characterization import medium_of
-from imr_torch.cli.figures import save_figures
 from imr_torch.cli.options import COLLAPSES, DEFAULT_MODELS
+from imr_torch.cli.plot import save_figures
 from imr_torch.document import is_explained
 from imr_torch.errors import InputDataError
 from imr_torch.files import Document, read_json, without_nonfinite, write_json
