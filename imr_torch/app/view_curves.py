@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from nicegui import events, ui
 
+from imr_torch.app.commands import CURVE
 from imr_torch.app.problems import problems_notified, problems_shown
 from imr_torch.app.workspace import CurveView, Workspace
 from imr_torch.cli.options import COLLAPSES
@@ -17,20 +18,7 @@ _FITTED = "#0072b2"
 _OUTSIDE = "#9a9a9a"
 MICRO = 1e6
 """Micrometres in a metre, microseconds in a second."""
-_FIELDS = {
-    "Rmax_m": "Rmax (um)",
-    "Rmax_sd_m": "its sd (um)",
-    "t_Rmax_s": "time of Rmax (us)",
-    "Rinf_m": "R_inf (um)",
-    "Rinf_sd_m": "its sd (um)",
-    "window_end_s": "last fitted time (us)",
-}
-_LINES = {
-    "t_Rmax_s": ("maximum", "#d55e00", "solid"),
-    "Rmax_m": ("Rmax", "#d55e00", "solid"),
-    "Rinf_m": ("R_inf", "#009e73", "dash"),
-    "window_end_s": ("end of window", "#cc79a7", "dot"),
-}
+_LINES = CURVE["lines"]
 """What the lines of the figure show, in their order: name, colour and dash."""
 _PAIRS = {"Rmax_m": "Rmax_sd_m", "Rinf_m": "Rinf_sd_m"}
 
@@ -85,7 +73,7 @@ class CurvesView:
     def _draw_fields(self, view: CurveView) -> None:
         stated = stated_values(view)
         with ui.row().classes("w-full"):
-            for key, label in _FIELDS.items():
+            for key, label in CURVE["fields"].items():
                 found = found_values(view)[key]
                 value = stated[key]
                 ui.number(

@@ -9,7 +9,6 @@ from imr_torch.cli.common import (
     exact_medium,
     prior_of,
     report_result,
-    simulator_of,
     with_medium,
 )
 from imr_torch.cli.progress import DESIGN
@@ -56,9 +55,8 @@ def plan_of(args: Namespace) -> Plan:
 
 def run_command(args: Namespace) -> None:
     """Search and report."""
-    simulator = simulator_of(args)
     space = space_of(args)
-    simulator, prior, medium = with_medium(args, simulator, prior_of(args))
+    simulator, prior, medium = with_medium(args, prior_of(args))
     print(medium.report())
     rule = stopping_rule(*filter(None, [args.until]))
     if rule:
