@@ -153,6 +153,7 @@ def _add_routes(runs: Runs) -> None:
 def _draw_page(workspace: Workspace, runs: Runs) -> None:
     """The page: a header and five tabs; a tab is made anew whenever it is opened."""
     ui.colors(primary="#0072b2")
+    ui.button.default_props("no-caps")
     ui.add_css(_STYLE)
     names = ("Files", "Curves", "Medium", "Run", "Results")
     with ui.header().classes("items-center q-py-xs"):

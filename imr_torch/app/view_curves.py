@@ -84,7 +84,7 @@ class CurvesView:
                     lambda event, key=key: self._take_typed(view, key, event.value)
                 )
             ui.button("As found", on_click=lambda: self._state_values(view, {})).props(
-                "outline no-caps"
+                "outline"
             ).set_enabled(set(stated.values()) != {None})
 
     def _step_curves(self, names: list[str], by: int) -> None:

@@ -52,7 +52,7 @@ class FilesView:
             ).props(f'accept="{",".join(ENDINGS)}" flat bordered').classes("w-full").style(
                 "max-width: 34rem"
             )
-            ui.button("Take the example gel", on_click=self._take_example).props("outline no-caps")
+            ui.button("Take the example gel", on_click=self._take_example).props("outline")
         files = self.workspace.list_files()
         if files:
             ui.label("Files").classes("text-subtitle1")
@@ -65,7 +65,7 @@ class FilesView:
                 read = f"What was read: {len(traces)} curve(s)"
                 with ui.expansion(read, icon="list").classes("w-full"):
                     ui.label(traces.report()).classes("lines text-body2")
-                ui.button("Look at the curves", on_click=lambda: self.go("Curves")).props("no-caps")
+                ui.button("Look at the curves", on_click=lambda: self.go("Curves"))
 
     def _draw_file(self, file: FileState) -> None:
         with ui.row().classes("w-full items-center no-wrap"):
@@ -92,7 +92,7 @@ class FilesView:
             ).classes("w-full")
             ui.button(
                 "Read the files again", on_click=lambda: self._set_layout(field.value or "")
-            ).props("outline no-caps")
+            ).props("outline")
 
     async def _take_upload(self, event: events.UploadEventArguments) -> None:
         with problems_notified():
@@ -150,7 +150,7 @@ class MediumView:
             on_click=lambda: self._set_medium(
                 name.value, {key: (a.value, b.value) for key, (a, b) in fields.items()}
             ),
-        ).props("no-caps")
+        )
         with problems_shown():
             ui.label(self.workspace.find_medium().report()).classes("lines")
 

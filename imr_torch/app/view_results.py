@@ -45,7 +45,7 @@ class ResultsView:
             if result.page:
                 ui.link("Open the page by itself", f"/result/{result.name}/page", new_tab=True)
             ui.button("Use its options again", on_click=lambda: self.reuse(result.arguments)).props(
-                "outline dense no-caps"
+                "outline dense"
             )
         ui.label(result.command).classes("command")
         ui.label(f"Started {result.started}").classes("quiet")

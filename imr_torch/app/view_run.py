@@ -58,7 +58,7 @@ class RunView:
                 for name, preset in form.presets.items():
                     ui.button(
                         name, on_click=lambda _, preset=preset: self._fill_preset(preset)
-                    ).props("outline dense no-caps").classes("q-px-sm")
+                    ).props("outline dense").classes("q-px-sm")
         for row in form.rows:
             with ui.row().classes("w-full"), problems_shown():
                 for key in row:
@@ -68,7 +68,7 @@ class RunView:
             "quiet q-mt-sm"
         )
         self._draw_command()
-        ui.button("Run", icon="play_arrow", on_click=self._add_run).props("no-caps")
+        ui.button("Run", icon="play_arrow", on_click=self._add_run)
         self._draw_queue()
         ui.timer(0.5, self._follow_runs)
 
@@ -166,7 +166,7 @@ class RunView:
                 said = [f"{result.name}: {result.outcome}"]
                 said += [result.read_text_of("messages.txt")] if result.status else []
                 ui.label("\n".join(said)).classes("lines problem" if result.status else "lines")
-                ui.button("See the result", on_click=lambda: self.go("Results")).props("no-caps")
+                ui.button("See the result", on_click=lambda: self.go("Results"))
         if run:
             with ui.card().classes("w-full"):
                 ui.label(run.result.command).classes("command")
@@ -174,7 +174,7 @@ class RunView:
                     run, "part", lambda part: part or 0.0
                 )
                 ui.label().bind_text_from(run, "line").classes("lines")
-                ui.button("Stop", icon="stop", on_click=run.stop).props("outline no-caps")
+                ui.button("Stop", icon="stop", on_click=run.stop).props("outline")
         for number, result in enumerate(self.runs.waiting, start=1):
             with ui.row().classes("w-full items-center no-wrap"):
                 ui.button(icon="close", on_click=lambda _, it=result: self._take_back(it)).props(

@@ -29,22 +29,20 @@ def find_patterns(
         largest: correlation that is none yet, in standard deviations; one set in 200 has more by
             chance.
     """
-    said = []
     if len(shots) < fewest:
         return []
     left = tensor([x["t_star"] - x["predicted"] for x in shots])
-    for key, words in (("Rmax_m", "maximum radius"), ("R_inf*", "stretch")):
-        order = tensor([x[key] for x in shots])
-        found = serial_correlation(left, order)
-        if found > largest:
-            said.append(
-                f"Residuals of the collapse times are correlated in the order of {words} "
-                f"({found:.1f} standard "
-                "deviations): they are no independent errors, intervals are too narrow, and the "
-                "model or a calibration "
-                "misses something."
-            )
-    return said
+    found = {
+        words: serial_correlation(left, tensor([x[key] for x in shots]))
+        for key, words in (("Rmax_m", "maximum radius"), ("R_inf*", "stretch"))
+    }
+    return [
+        f"Residuals of the collapse times are correlated in the order of {words} ({size:.1f} "
+        "standard deviations): they are no independent errors, intervals are too narrow, and the "
+        "model or a calibration misses something."
+        for words, size in found.items()
+        if size > largest
+    ]
 
 
 def predictive_band(
