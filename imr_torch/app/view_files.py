@@ -16,9 +16,8 @@ from imr_torch.observe.medium import PROPERTIES
 
 _HELP = (
     "Tables with the columns experiment_id, time_s, radius_m, or with units in the header; MATLAB "
-    "files; .xlsx; .npz; and the "
-    "JSON file of the same name beside a table. All curves that are used together are taken to be "
-    "of one gel."
+    "files; .xlsx; .npz; and the JSON file of the same name beside a table. All curves that are used "
+    "together are taken to be of one gel."
 )
 
 
@@ -129,8 +128,7 @@ class MediumView:
         said = Statement.from_text(text) if text else Statement()
         ui.label(
             "What is stated here counts before what the files say; what nobody states is assumed. "
-            "A standard deviation makes a "
-            "property part of the fit."
+            "A standard deviation makes a property part of the fit."
         ).classes("quiet")
         names = {"": "none named", **{name: name for name in MEDIA}}
         name = ui.select(names, value=said.name, label="Medium").style("min-width: 14rem")

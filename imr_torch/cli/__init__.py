@@ -31,8 +31,7 @@ def build_parser() -> argparse.ArgumentParser:
     top = argparse.ArgumentParser(
         prog="imr-torch",
         description="Inertial microcavitation rheometry: simulate bubbles, infer gel properties from "
-        "R(t), design the next "
-        "experiment.",
+        "R(t), design the next experiment.",
         epilog="Start with:  imr-torch demo",
     )
     top.add_argument(

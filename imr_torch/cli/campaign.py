@@ -61,8 +61,7 @@ def run_command(args: Namespace) -> None:
     if args.case and medium.sds:
         raise InputDataError(
             f"--medium gives {label(next(iter(medium.sds)))} a standard deviation, and --case "
-            "simulates a gel whose medium is "
-            "known; state values alone."
+            "simulates a gel whose medium is known; state values alone."
         )
     print(medium.report())
     started = time.process_time()

@@ -62,7 +62,7 @@ def to_arviz(source: Assimilation | Belief, *, seed: int, draws: int = 1000) -> 
     if draws < 1:
         raise InputDataError(f"to_arviz: draws is {draws}; at least 1 is needed.")
     groups = _list_groups(source, seed, draws)
-    labels: dict[str, Sequence[str]] = {"nuisance": NUISANCES}
+    labels: dict[Any, Sequence[str]] = {"nuisance": NUISANCES}
     if isinstance(source, Assimilation):
         labels["experiment"] = [e.label for e in source.batch.experiments]
     else:

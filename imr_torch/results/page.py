@@ -68,7 +68,7 @@ def document_page(document: Document, *, title: str = "", report: str = "") -> s
     """
     kind = _check_kind(document)
     names = _list_names(document)
-    figures = draw_figures(document) if document.get("map", True) else []
+    figures = draw_figures(document)
     of_curves = [figure for figure in figures if figure.section == "The curves"]
     return _fill_template(
         f"{kind}.html",
