@@ -80,13 +80,12 @@ def run_command(args: Namespace) -> None:
         chosen = measure.choose_sequence(args.shots)
         ways = {"one design repeated": (chosen[:1].expand_as(chosen), plan)}
         ways |= {what: (chosen, other) for what, other in camera_variants(plan).items()}
-        document["forecast"] = {"until": args.until, "most": args.shots} | {
-            "rows": [
-                {"what": what}
-                | forecast_shots(prior, designs, bubbles, other, rule, seed=args.seed).to_dict()
-                for what, (designs, other) in ways.items()
-            ]
-        }
+        rows = [
+            {"what": what}
+            | forecast_shots(prior, designs, bubbles, other, rule, seed=args.seed).to_dict()
+            for what, (designs, other) in ways.items()
+        ]
+        document["forecast"] = {"until": args.until, "most": args.shots, "rows": rows}
     acquisition = ExpectedInformationGain(
         prior, bubbles, Laplace(args.draws), target=args.target, plan=plan, space=space
     )
