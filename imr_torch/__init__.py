@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from imr_torch.characterization import Characterization, characterize
-    from imr_torch.example import example_gel
+    from imr_torch.files import example_gel
     from imr_torch.material import Belief, reference_case, wide_prior
     from imr_torch.observe import load_traces
     from imr_torch.simulate import PolytropicSimulator, TransportSimulator
@@ -27,7 +27,7 @@ _HOMES = {
     "PolytropicSimulator": "imr_torch.simulate",
     "TransportSimulator": "imr_torch.simulate",
     "characterize": "imr_torch.characterization",
-    "example_gel": "imr_torch.example",
+    "example_gel": "imr_torch.files",
     "load_traces": "imr_torch.observe",
     "reference_case": "imr_torch.material",
     "wide_prior": "imr_torch.material",

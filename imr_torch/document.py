@@ -54,6 +54,7 @@ def header(
     >>> document["schema"], document["medium"]["density"]["value"]
     ({'name': 'imr_torch characterize', 'version': 1}, 998.0)
     """
+    read = [p for path in map(Path, files) for p in (path, path.with_suffix(".json"))]
     document: Document = {
         "schema": {"name": f"imr_torch {kind}", "version": SCHEMA_VERSION},
         "software": {
@@ -63,7 +64,7 @@ def header(
         },
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": command,
-        "files": [_describe_file(path) for path in _with_companions(files)],
+        "files": [_describe_file(path) for path in dict.fromkeys(read) if path.is_file()],
         "units": UNITS,
     }
     if medium is not None:
@@ -92,14 +93,6 @@ def is_explained(document: Document, where: str = "") -> bool | None:
     if explained is None or isinstance(explained, bool):
         return explained
     raise InputDataError(f"{where}'fit_test' is {said!r}; the result is not whole, make it anew.")
-
-
-def _with_companions(files: Sequence[str | Path]) -> list[Path]:
-    found: list[Path] = []
-    for path in map(Path, files):
-        beside = path.with_suffix(".json")
-        found += [p for p in dict.fromkeys((path, beside)) if p.is_file() and p not in found]
-    return found
 
 
 def _describe_file(path: Path) -> Document:

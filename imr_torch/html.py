@@ -38,7 +38,7 @@ def render(template: str, **values: Any) -> str:
         jinja2.UndefinedError: if the template uses a name that is not among them.
 
     >>> from imr_torch.html import render
-    >>> text = render("base.html", title="Gel <7>", verdict=["Fit."], warning=False, next_step="", document={})
+    >>> text = render("base.html", title="Gel <7>", verdict=["Fit."], document={})
     >>> text.count("Gel &lt;7&gt;")
     2
     """

@@ -11,7 +11,7 @@ import pytest
 from imr_torch import PolytropicSimulator, wide_prior
 from imr_torch.characterization.batch import BatchOptions
 from imr_torch.cli import build_parser, main
-from imr_torch.cli.extensions import load_extensions
+from imr_torch.cli.options import load_extensions
 from imr_torch.errors import InputDataError
 from imr_torch.reading import READERS
 from imr_torch.simulate import process_pool

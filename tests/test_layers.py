@@ -48,7 +48,6 @@ BASE = (
 )
 ROOMS = (
     "document",
-    "example",
     "characterization",
     "results",
     "cli",

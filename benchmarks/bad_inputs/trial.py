@@ -59,7 +59,7 @@ def without_fits() -> Iterator[None]:
             ("imr_torch.cli.design", "search_design"),
         ):
             stack.enter_context(mock.patch.object(importlib.import_module(module), name, _stop))
-        stack.enter_context(mock.patch("imr_torch.cli.extensions.entry_points", _entry_points))
+        stack.enter_context(mock.patch("imr_torch.cli.options.entry_points", _entry_points))
         stack.enter_context(mock.patch.object(Campaign, "learn_outstanding", _stop))
         stack.enter_context(mock.patch.object(Campaign, "ask_several", _stop))
         stack.enter_context(mock.patch.dict(METHODS, SMALL))

@@ -39,6 +39,10 @@ FORMS = {command: Form(**form) for command, form in _table["forms"].items()}
 """Command -> its form."""
 LABELS: dict[str, str] = _table["labels"]
 """Option -> what its field is called."""
+CHOICES: dict[str, dict[str, str]] = _table["choices"]
+"""Option -> of what its field lets one choose."""
+CURVE: dict[str, Document] = _table["curve"]
+"""Fields of what can be stated about a curve, and the lines of its figure."""
 
 OPTIONS: dict[str, dict[str, Document]] = {
     command: {

@@ -101,9 +101,9 @@ def command_line(arguments: tuple[str, ...] | list[str]) -> str:
     return shlex.join(["imr-torch", *arguments])
 
 
-class Run:
+class Run(threading.Thread):
     """A command that is running: its state in one ``line``, and the ``part`` of the work that is
-    done, None as long as it is not known.
+    done, None as long as it is not known. The thread lives until its files are complete.
 
     Args:
         result: its folder and arguments.
@@ -112,9 +112,9 @@ class Run:
     """
 
     def __init__(self, result: Result, home: Path, at_end: Callable[[], object]) -> None:
+        super().__init__(daemon=True)
         self.result = result
         self._at_end = at_end
-        self._ended = threading.Event()
         self.line = "starting"
         self.part: float | None = None
         self._stopping = False
@@ -131,12 +131,7 @@ class Run:
                 errors="replace",
                 creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
             )
-        threading.Thread(target=self._read_messages, daemon=True).start()
-
-    @property
-    def running(self) -> bool:
-        """Whether it has not ended, or its files are not complete."""
-        return not self._ended.is_set()
+        self.start()
 
     def stop(self, *, patience: float = 10.0) -> None:
         """Stop it; what was written stays. It is killed if it has not ended by itself after
@@ -149,11 +144,7 @@ class Run:
             late.daemon = True
             late.start()
 
-    def wait(self, seconds: float | None = None) -> None:
-        """Wait until it has ended."""
-        self._ended.wait(seconds)
-
-    def _read_messages(self) -> None:
+    def run(self) -> None:
         """Read standard error to its end, where a JSON object is an event of progress and any other
         line a message, and keep the messages and how the command ended.
         """
@@ -172,7 +163,6 @@ class Run:
             messages.clear()
         (self.result.folder / "messages.txt").write_text("\n".join(messages), encoding="utf-8")
         _write_record(self.result, status)
-        self._ended.set()
         self._at_end()
 
 
@@ -182,7 +172,8 @@ class Runs:
     Args:
         home: the folder in which commands run; their results are in its ``results``.
 
-    :attr:`waiting` holds the runs that begin when those before them have ended.
+    :attr:`current` is the one that is running, if any; :attr:`waiting` holds those that begin when it
+    has ended.
     """
 
     def __init__(self, home: Path) -> None:
@@ -191,11 +182,6 @@ class Runs:
         self.current: Run | None = None
         self.waiting: list[Result] = []
         self._lock = threading.RLock()
-
-    @property
-    def busy(self) -> bool:
-        """Whether a command is running."""
-        return self.current is not None and self.current.running
 
     def next_folder(self, kind: str) -> str:
         """The folder of the next run, relative to ``home``."""
@@ -231,15 +217,20 @@ class Runs:
 
     def _start_next(self) -> None:
         with self._lock:
-            if self.waiting and not self.busy:
-                self.current = Run(self.waiting[0], self.home, self._start_next)
+            if self.waiting and not self.current:
+                self.current = Run(self.waiting[0], self.home, self._end_current)
                 self.waiting.pop(0)
+
+    def _end_current(self) -> None:
+        with self._lock:
+            self.current = None
+            self._start_next()
 
     def list_results(self) -> list[Result]:
         """All runs that have ended, the latest first."""
         still_open = {result.folder for result in self.waiting}
-        if self.busy and self.current:
-            still_open.add(self.current.result.folder)
+        if run := self.current:
+            still_open.add(run.result.folder)
         found = []
         for path in sorted(self.folder.glob("*/run.json"), reverse=True):
             if path.parent not in still_open:

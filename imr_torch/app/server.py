@@ -20,19 +20,18 @@ from nicegui import app, ui
 from imr_torch.app.guard import Guard
 from imr_torch.app.runs import Runs
 from imr_torch.app.view_curves import CurvesView
-from imr_torch.app.view_files import FilesView
-from imr_torch.app.view_medium import MediumView
+from imr_torch.app.view_files import FilesView, MediumView
 from imr_torch.app.view_results import ResultsView
 from imr_torch.app.view_run import RunView
 from imr_torch.app.workspace import Workspace
 from imr_torch.errors import InputDataError
 
 HOST = "127.0.0.1"
-_COLOUR = "#0072b2"
 _STYLE = """
 .nicegui-content { max-width: 76rem; margin: 0 auto; width: 100%; }
 .q-tab { padding: 0 clamp(4px, 1.6vw, 16px); min-width: 0; } .q-tab__label { white-space: nowrap; }
-.problem { color: #a03c00; overflow-wrap: anywhere; } .quiet { color: #555; }
+.problem { color: #a03c00; } .quiet { color: #555; } .lines { white-space: pre-wrap; }
+.problem, .quiet, .lines { overflow-wrap: anywhere; }
 .command { font-family: ui-monospace, monospace; font-size: .85rem; white-space: pre-wrap; overflow-wrap: anywhere;
   background: #f4f4f4; padding: .5rem .7rem; border-radius: 4px; width: 100%; box-sizing: border-box; }
 iframe.page { width: 100%; height: 78vh; border: 1px solid #ccc; background: #fff; }
@@ -115,9 +114,9 @@ def _stop_running(runs: Runs) -> None:
     """Stop what is running, so that nothing goes on unseen."""
     for result in list(runs.waiting):
         runs.take_back(result)
-    if runs.busy and runs.current:
-        runs.current.stop()
-        runs.current.wait(15.0)
+    if run := runs.current:
+        run.stop()
+        run.join(15.0)
 
 
 def _add_routes(runs: Runs) -> None:
@@ -153,7 +152,8 @@ def _add_routes(runs: Runs) -> None:
 
 def _draw_page(workspace: Workspace, runs: Runs) -> None:
     """The page: a header and five tabs; a tab is made anew whenever it is opened."""
-    ui.colors(primary=_COLOUR)
+    ui.colors(primary="#0072b2")
+    ui.button.default_props("no-caps")
     ui.add_css(_STYLE)
     names = ("Files", "Curves", "Medium", "Run", "Results")
     with ui.header().classes("items-center q-py-xs"):

@@ -2,10 +2,12 @@
 that can be moved.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from nicegui import events, ui
 
+from imr_torch.app.commands import CURVE
 from imr_torch.app.problems import problems_notified, problems_shown
 from imr_torch.app.workspace import CurveView, Workspace
 from imr_torch.cli.options import COLLAPSES
@@ -16,20 +18,7 @@ _FITTED = "#0072b2"
 _OUTSIDE = "#9a9a9a"
 MICRO = 1e6
 """Micrometres in a metre, microseconds in a second."""
-_FIELDS = {
-    "Rmax_m": "Rmax (um)",
-    "Rmax_sd_m": "its sd (um)",
-    "t_Rmax_s": "time of Rmax (us)",
-    "Rinf_m": "R_inf (um)",
-    "Rinf_sd_m": "its sd (um)",
-    "window_end_s": "last fitted time (us)",
-}
-_LINES = {
-    "t_Rmax_s": ("maximum", "#d55e00", "solid"),
-    "Rmax_m": ("Rmax", "#d55e00", "solid"),
-    "Rinf_m": ("R_inf", "#009e73", "dash"),
-    "window_end_s": ("end of window", "#cc79a7", "dot"),
-}
+_LINES = CURVE["lines"]
 """What the lines of the figure show, in their order: name, colour and dash."""
 _PAIRS = {"Rmax_m": "Rmax_sd_m", "Rinf_m": "Rinf_sd_m"}
 
@@ -65,12 +54,10 @@ class CurvesView:
             ui.select(names, value=self.name, label="Curve").bind_value(
                 self, "name"
             ).on_value_change(self.draw_tab.refresh).style("min-width: 12rem")
-            ui.button(icon="chevron_left", on_click=lambda: self._step_curves(names, -1)).props(
-                'flat round aria-label="Previous curve"'
-            )
-            ui.button(icon="chevron_right", on_click=lambda: self._step_curves(names, +1)).props(
-                'flat round aria-label="Next curve"'
-            )
+            for icon, by, label in (("left", -1, "Previous curve"), ("right", 1, "Next curve")):
+                ui.button(
+                    icon=f"chevron_{icon}", on_click=lambda _, by=by: self._step_curves(names, by)
+                ).props(f'flat round aria-label="{label}"')
             ui.label(f"{names.index(self.name) + 1} of {len(names)}").classes("quiet")
         view = self.workspace.view_curve(self.name, self.collapses)
         ui.label(
@@ -81,16 +68,14 @@ class CurvesView:
         plot = ui.plotly(curve_figure(view)).classes("w-full").style("height: min(26rem, 70vh)")
         plot.on("plotly_relayout", lambda event: self._take_moved(view, event))
         self._draw_fields(view)
-        ui.label(view.report).classes("problem" if view.fitted is None else "").style(
-            "white-space: pre-wrap; overflow-wrap: anywhere"
-        )
+        ui.label(view.report).classes("lines" if view.fitted else "lines problem")
 
     def _draw_fields(self, view: CurveView) -> None:
         stated = stated_values(view)
         with ui.row().classes("w-full"):
-            for key, label in _FIELDS.items():
+            for key, label in CURVE["fields"].items():
                 found = found_values(view)[key]
-                value = stated.get(key)
+                value = stated[key]
                 ui.number(
                     label,
                     value=None if value is None else float(f"{MICRO * value:.5g}"),
@@ -99,8 +84,8 @@ class CurvesView:
                     lambda event, key=key: self._take_typed(view, key, event.value)
                 )
             ui.button("As found", on_click=lambda: self._state_values(view, {})).props(
-                "outline no-caps"
-            ).set_enabled(bool(stated))
+                "outline"
+            ).set_enabled(set(stated.values()) != {None})
 
     def _step_curves(self, names: list[str], by: int) -> None:
         self.name = names[(names.index(self.name) + by) % len(names)]
@@ -108,11 +93,9 @@ class CurvesView:
 
     def _take_typed(self, view: CurveView, key: str, value: float | None) -> None:
         values = stated_values(view)
-        if value is None:
-            values.pop(key, None)
-            values.pop(_PAIRS.get(key, ""), None)
-        else:
-            values[key] = value / MICRO
+        values[key] = value if value is None else value / MICRO
+        if value is None and key in _PAIRS:
+            values[_PAIRS[key]] = None
         self._state_values(view, values)
 
     def _take_moved(self, view: CurveView, event: events.GenericEventArguments) -> None:
@@ -122,21 +105,20 @@ class CurvesView:
         key, value = change
         values = stated_values(view) | {key: value}
         sd = _PAIRS.get(key)
-        if sd is not None and sd not in values and (known := found_values(view)[sd]) is not None:
-            values[sd] = known
+        if sd and values[sd] is None:
+            values[sd] = found_values(view)[sd]
         self._state_values(view, values)
 
-    def _state_values(self, view: CurveView, values: dict[str, float]) -> None:
+    def _state_values(self, view: CurveView, values: Mapping[str, float | None]) -> None:
         with problems_notified():
             self.workspace.state_values(view, values)
         self.draw_tab.refresh()
 
 
-def stated_values(view: CurveView) -> dict[str, float]:
-    """What is stated about a curve, by the names of the JSON file."""
+def stated_values(view: CurveView) -> dict[str, float | None]:
+    """What is stated about a curve, by the names of the JSON file; None where nothing is."""
     override = view.trace.given.override
-    values = {key: getattr(override, field, None) for key, field in OVERRIDES.items()}
-    return {key: value for key, value in values.items() if value is not None}
+    return {key: getattr(override, field, None) for key, field in OVERRIDES.items()}
 
 
 def found_values(view: CurveView) -> dict[str, float | None]:
@@ -158,12 +140,8 @@ def moved_line(change: Document) -> tuple[str, float] | None:
     """
     for number, key in enumerate(_LINES):
         axis = "x" if key.endswith("_s") else "y"
-        ends = [
-            change[f"shapes[{number}].{axis}{end}"]
-            for end in (0, 1)
-            if f"shapes[{number}].{axis}{end}" in change
-        ]
-        if ends:
+        names = (f"shapes[{number}].{axis}{end}" for end in (0, 1))
+        if ends := [change[name] for name in names if name in change]:
             return key, round(sum(ends) / len(ends), 4) / MICRO
     return None
 

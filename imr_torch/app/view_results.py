@@ -45,7 +45,7 @@ class ResultsView:
             if result.page:
                 ui.link("Open the page by itself", f"/result/{result.name}/page", new_tab=True)
             ui.button("Use its options again", on_click=lambda: self.reuse(result.arguments)).props(
-                "outline dense no-caps"
+                "outline dense"
             )
         ui.label(result.command).classes("command")
         ui.label(f"Started {result.started}").classes("quiet")
@@ -53,25 +53,20 @@ class ResultsView:
 
     def _draw_content(self, result: Result) -> None:
         if result.status != 0:
-            ui.label(f"{result.outcome}. {result.read_text_of('messages.txt')}").classes(
-                "problem"
-            ).style("white-space: pre-wrap")
+            said = f"{result.outcome}. {result.read_text_of('messages.txt')}"
+            ui.label(said).classes("lines problem")
         if result.page:
             ui.element("iframe").props(
                 f'src="/result/{result.name}/page" title="Page of {result.name}" sandbox=""'
             ).classes("page")
-        shots = result.read_shots()
-        if shots:
+        if shots := result.read_shots():
             names = dict.fromkeys(name for shot in shots for name in shot)
             columns = [{"name": x, "label": x, "field": x, "sortable": True} for x in names]
             ui.label("The shots; press a heading to sort").classes("text-subtitle1")
             ui.table(rows=shots, columns=columns, pagination=20).classes("w-full")
-        output = result.read_text_of("output.txt")
-        if output:
+        if output := result.read_text_of("output.txt"):
             with ui.expansion("What the command printed", icon="notes").classes("w-full"):
-                ui.label(output).style("white-space: pre-wrap; overflow-wrap: anywhere").classes(
-                    "text-body2"
-                )
+                ui.label(output).classes("lines text-body2")
 
     def _choose_result(self, name: str) -> None:
         self.name = name

@@ -2,12 +2,13 @@
 queue: what is running, its progress, and what waits.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from nicegui import ui
 
 from imr_torch.app.commands import (
+    CHOICES,
     FORMS,
     LABELS,
     LISTS,
@@ -57,7 +58,7 @@ class RunView:
                 for name, preset in form.presets.items():
                     ui.button(
                         name, on_click=lambda _, preset=preset: self._fill_preset(preset)
-                    ).props("outline dense no-caps").classes("q-px-sm")
+                    ).props("outline dense").classes("q-px-sm")
         for row in form.rows:
             with ui.row().classes("w-full"), problems_shown():
                 for key in row:
@@ -67,7 +68,7 @@ class RunView:
             "quiet q-mt-sm"
         )
         self._draw_command()
-        ui.button("Run", icon="play_arrow", on_click=self._add_run).props("no-caps")
+        ui.button("Run", icon="play_arrow", on_click=self._add_run)
         self._draw_queue()
         ui.timer(0.5, self._follow_runs)
 
@@ -101,7 +102,9 @@ class RunView:
             composed = "add-unique" if key in ("models", "base", "model") else None
             kept = values[key] if many else [values[key]]
             choices |= {value: value for value in kept if composed and value not in choices}
-            if many:
+            if key == "belief" and values[key] is None:
+                values[key] = [*choices, ""][1]  # the latest result, if there is one
+            elif many:
                 values[key] = [value for value in values[key] if value in choices]
             elif values[key] not in choices:
                 values[key] = next(iter(choices), None)
@@ -120,35 +123,31 @@ class RunView:
     def _list_choices(self, key: str) -> dict[Any, str] | None:
         """Value -> what it is called, of a field in which one chooses; None of others."""
         settings = OPTIONS[self.kind][key]
-        of_earlier = {
-            f"results/{result.name}/characterize.json": result.name
-            for result in self.runs.list_results()
-            if (result.folder / "characterize.json").is_file()
-        }
-        if key == "belief":
-            told = {path: f"what {name} learnt" for path, name in of_earlier.items()}
-            if self.values[self.kind][key] is None:
-                self.values[self.kind][key] = next(iter(told), "")
-            return {"": "no earlier result: the wide prior"} | told
-        if key in ("a", "b"):
-            return {"": "choose a result of Characterise"} | of_earlier
-        if key == "continued":
-            campaigns = [r.name for r in self.runs.list_results() if r.name.endswith("_campaign")]
-            return {"": "a new one"} | {f"results/{name}": name for name in campaigns}
-        if key == "tell" or settings.get("metavar") == "FILE":
-            files = {f"files/{file.name}": file.name for file in self.workspace.list_files()}
-            return files if key == "tell" else {"": "none"} | files
-        if key in ("experiments", "exclude", "heldout"):
-            return {name: name for name in self.workspace.load_curves().ids}
-        if key in ("models", "base", "model"):
-            first = {"": "the most probable"} if key == "model" else {}
-            return first | {name: name for name in MODELS}
-        if key in ("effects", "without"):
-            return {name: name for name in LIBRARY}
+        if field := CHOICES.get(key):
+            first = {"": field["none"]} if "none" in field else {}
+            value, called = (field.get(name, "{}") for name in ("value", "called"))
+            names = self._list_names(field["of"])
+            return first | {value.format(name): called.format(name) for name in names}
         if "choices" not in settings:
             return None
         usual = {"": "as usual"} if settings.get("default") is None else {}
         return usual | {name: name for name in settings["choices"]}
+
+    def _list_names(self, kind: str) -> Iterable[str]:
+        """What there is to choose of a kind."""
+        results = self.runs.list_results()
+        match kind:
+            case "curves":
+                return self.workspace.load_curves().ids
+            case "files":
+                return [file.name for file in self.workspace.list_files()]
+            case "models":
+                return MODELS
+            case "effects":
+                return LIBRARY
+            case "campaigns":
+                return [result.name for result in results if result.name.endswith("_campaign")]
+        return [r.name for r in results if (r.folder / "characterize.json").is_file()]
 
     @ui.refreshable_method
     def _draw_command(self) -> None:
@@ -159,25 +158,23 @@ class RunView:
     @ui.refreshable_method
     def _draw_queue(self) -> None:
         """The run of this page that ended last, what is running, and what waits."""
-        run = self.runs.current
         results = {result.name: result for result in self.runs.list_results()}
         ended = [results[result.name] for result in self.mine if result.name in results]
-        for result in [] if self.runs.busy else ended[-1:]:
+        run = self.runs.current
+        for result in [] if run else ended[-1:]:
             with ui.card().classes("w-full"):
                 said = [f"{result.name}: {result.outcome}"]
                 said += [result.read_text_of("messages.txt")] if result.status else []
-                ui.label("\n".join(said)).classes("problem" if result.status else "").style(
-                    "white-space: pre-wrap; overflow-wrap: anywhere"
-                )
-                ui.button("See the result", on_click=lambda: self.go("Results")).props("no-caps")
-        if run is not None and run.running:
+                ui.label("\n".join(said)).classes("lines problem" if result.status else "lines")
+                ui.button("See the result", on_click=lambda: self.go("Results"))
+        if run:
             with ui.card().classes("w-full"):
                 ui.label(run.result.command).classes("command")
                 ui.linear_progress(show_value=False).bind_value_from(
                     run, "part", lambda part: part or 0.0
                 )
-                ui.label().bind_text_from(run, "line").style("overflow-wrap: anywhere")
-                ui.button("Stop", icon="stop", on_click=run.stop).props("outline no-caps")
+                ui.label().bind_text_from(run, "line").classes("lines")
+                ui.button("Stop", icon="stop", on_click=run.stop).props("outline")
         for number, result in enumerate(self.runs.waiting, start=1):
             with ui.row().classes("w-full items-center no-wrap"):
                 ui.button(icon="close", on_click=lambda _, it=result: self._take_back(it)).props(
@@ -186,7 +183,7 @@ class RunView:
                 ui.label(f"{number}. in the queue: {result.name}")
 
     def _follow_runs(self) -> None:
-        state = self.runs.current, self.runs.busy, len(self.runs.waiting)
+        state = self.runs.current, len(self.runs.waiting)
         if state != self._seen:
             self._draw_queue.refresh()
         self._seen = state

@@ -8,7 +8,7 @@ any time.
 """
 
 import secrets
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
@@ -16,8 +16,7 @@ from pathlib import Path
 
 from imr_torch.characterization import medium_of
 from imr_torch.errors import ImrError, InputDataError
-from imr_torch.example import example_gel
-from imr_torch.files import read_json, write_bytes, write_json
+from imr_torch.files import example_gel, read_json, write_bytes, write_json
 from imr_torch.observe import (
     SUFFIXES,
     GelMedium,
@@ -40,6 +39,11 @@ LARGEST_FILE = 2**30
 ENDINGS = (*SUFFIXES, ".json")
 LONGEST_NAME = 120
 """Bytes of the name of an uploaded file."""
+_CHECKS: dict[str, Callable[[str], object]] = {
+    "layout": Layout.from_text,
+    "medium": lambda text: gel_medium(Statement.from_text(text)),
+}
+"""Setting -> what refuses a text that cannot be used."""
 
 
 @dataclass(frozen=True)
@@ -99,8 +103,7 @@ class Workspace:
     def __init__(self, folder: Path) -> None:
         self.folder = Path(folder).resolve()
         self.files_folder = self.folder / "files"
-        self.results_folder = self.folder / "results"
-        for path in (self.files_folder, self.results_folder):
+        for path in (self.files_folder, self.folder / "results"):
             path.mkdir(parents=True, exist_ok=True)
 
     def add_file(self, name: str, content: bytes) -> str:
@@ -160,30 +163,18 @@ class Workspace:
         path = self.folder / "settings.json"
         expected = "expected the settings of an application"
         found = read_json(path, expected=expected) if path.exists() else {}
-        return {name: str(found.get(name, "")) for name in ("layout", "medium")}
+        return {name: str(found.get(name, "")) for name in _CHECKS}
 
-    def set_layout(self, text: str) -> None:
-        """State how all files are to be read; empty: as their names say.
-
-        Raises:
-            InputDataError: if the text cannot be used.
-        """
-        if text.strip():
-            Layout.from_text(text)
-        self._write_settings(layout=text.strip())
-
-    def set_medium(self, text: str) -> None:
-        """State the medium of all curves; empty: as the files say.
+    def change_setting(self, name: str, text: str) -> None:
+        """State how all files are to be read (``layout``) or the ``medium`` of all curves; empty: as
+        the files say.
 
         Raises:
             InputDataError: if the text cannot be used.
         """
         if text.strip():
-            gel_medium(Statement.from_text(text))
-        self._write_settings(medium=text.strip())
-
-    def _write_settings(self, **changed: str) -> None:
-        write_json(self.folder / "settings.json", self.settings | changed)
+            _CHECKS[name](text)
+        write_json(self.folder / "settings.json", self.settings | {name: text.strip()})
 
     def find_medium(self) -> GelMedium:
         """The medium of all curves, from what is stated here and beside the files.

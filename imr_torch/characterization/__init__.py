@@ -7,9 +7,8 @@ a table.
 """
 
 from imr_torch.characterization.bands import predictive_band
-from imr_torch.characterization.checks import EFFORTS, Effort
 from imr_torch.characterization.infer import characterize
-from imr_torch.characterization.medium import medium_document, medium_of
+from imr_torch.characterization.request import EFFORTS, Effort, medium_document, medium_of
 from imr_torch.characterization.result import Characterization
 from imr_torch.material.model_belief import intervals
 

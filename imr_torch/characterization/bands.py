@@ -1,7 +1,5 @@
-"""Posterior predictive bands of curves, and as JSON-ready values from which they are drawn again.
-
-Shots of which the collapse time alone is known, measured and predicted, and patterns in their
-residuals.
+"""Posterior predictive bands of curves, and as JSON-ready values from which they are drawn again;
+patterns in the residuals of collapse times.
 """
 
 from collections.abc import Sequence
@@ -9,37 +7,14 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import Assimilation, ModelFit
+from imr_torch.assimilate import Assimilation
 from imr_torch.files import Document, drawn_numbers
 from imr_torch.float64 import arange, tensor
 from imr_torch.material import Belief
 from imr_torch.material.model_belief import LEVELS
-from imr_torch.observe import CollapseTime, ExperimentBatch, predict
+from imr_torch.observe import predict
 from imr_torch.observe.collapse import serial_correlation
 from imr_torch.simulate import Simulator
-from imr_torch.units import Surroundings
-
-
-def collapse_rows(
-    fit: ModelFit, batch: ExperimentBatch, surroundings: Surroundings
-) -> list[Document]:
-    """Each shot of which the collapse time alone is known: measured and, by a fit, predicted, over
-    t*.
-    """
-    return [
-        {
-            "id": e.label,
-            "We": e.design[0],
-            "R_inf*": e.design[1],
-            "Rmax_m": surroundings.max_radius(e.design[0]),
-            "t_star": e.time,
-            "sd": e.sd,
-            "scatter": e.scatter,
-            "predicted": float(fit.prediction[i, 0]),
-        }
-        for i, e in enumerate(batch.experiments)
-        if isinstance(e, CollapseTime)
-    ]
 
 
 def find_patterns(
@@ -49,27 +24,25 @@ def find_patterns(
     independent errors.
 
     Args:
-        shots: from :func:`collapse_rows`.
+        shots: from :meth:`imr_torch.Characterization.collapse_times`.
         fewest: shots from which on a pattern is looked for.
         largest: correlation that is none yet, in standard deviations; one set in 200 has more by
             chance.
     """
-    said = []
     if len(shots) < fewest:
         return []
     left = tensor([x["t_star"] - x["predicted"] for x in shots])
-    for key, words in (("Rmax_m", "maximum radius"), ("R_inf*", "stretch")):
-        order = tensor([x[key] for x in shots])
-        found = serial_correlation(left, order)
-        if found > largest:
-            said.append(
-                f"Residuals of the collapse times are correlated in the order of {words} "
-                f"({found:.1f} standard "
-                "deviations): they are no independent errors, intervals are too narrow, and the "
-                "model or a calibration "
-                "misses something."
-            )
-    return said
+    found = {
+        words: serial_correlation(left, tensor([x[key] for x in shots]))
+        for key, words in (("Rmax_m", "maximum radius"), ("R_inf*", "stretch"))
+    }
+    return [
+        f"Residuals of the collapse times are correlated in the order of {words} ({size:.1f} "
+        "standard deviations): they are no independent errors, intervals are too narrow, and the "
+        "model or a calibration misses something."
+        for words, size in found.items()
+        if size > largest
+    ]
 
 
 def predictive_band(

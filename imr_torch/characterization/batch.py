@@ -221,7 +221,6 @@ def run_batch(
     home = Path(folder)
     old = _read_results(home / SHOTS)
     rows: dict[str, Document] = {}
-    order = []
     wanted = []
 
     def keep_result(shot: Shot, document: Document) -> None:
@@ -234,7 +233,7 @@ def run_batch(
         rows[shot.name] = _make_row(shot, document)
 
     for shot in _list_shots(files, options):
-        order.append(shot.name)
+        rows[shot.name] = {}  # until there is one, so that rows are in the order of the files
         earlier = old.get(shot.key)
         if shot.traces is None:
             keep_result(shot, {"error": shot.error})
@@ -245,9 +244,9 @@ def run_batch(
         else:
             wanted.append(shot)
     if progress:
-        done = sum(row["status"] != FAILED for row in rows.values())
+        done = sum(row.get("status", FAILED) != FAILED for row in rows.values())
         progress(
-            f"{len(order)} shot(s) in {len(files)} file(s): {len(wanted)} to do, {done} done before"
+            f"{len(rows)} shot(s) in {len(files)} file(s): {len(wanted)} to do, {done} done before"
         )
     if executor is None:
         finished = ((shot, characterize_shot(shot.traces, options)) for shot in wanted)
@@ -261,7 +260,7 @@ def run_batch(
                     text = f"{number} of {len(wanted)}: {shot.name} {rows[shot.name]['status']}"
                     progress(ProgressLine(text, done=number, of=len(wanted)))
     finally:
-        summary = BatchSummary(tuple(rows[name] for name in order if name in rows))
+        summary = BatchSummary(tuple(filter(None, rows.values())))
         if summary.rows:
             write_bytes(home / "summary.csv", summary.to_csv().encode())
             write_xlsx(summary.rows, summary.columns, home / "summary.xlsx")

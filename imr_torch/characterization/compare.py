@@ -158,8 +158,7 @@ def compare(
     if not common:
         raise InputDataError(
             f"{a.source} has the models {', '.join(a.posterior.keys)} and {b.source} "
-            f"{', '.join(b.posterior.keys)}; fit a "
-            "model to both with --models."
+            f"{', '.join(b.posterior.keys)}; fit a model to both with --models."
         )
     if model is not None and model not in common:
         raise InputDataError(f"--model is {model!r}; both results have {', '.join(common)}.")

@@ -21,8 +21,7 @@ from imr_torch.assimilate import (
 )
 from imr_torch.assimilate.spikes import frames_left_out
 from imr_torch.calibration import check_near_gel
-from imr_torch.characterization.checks import EFFORTS, check_request
-from imr_torch.characterization.medium import medium_of
+from imr_torch.characterization.request import EFFORTS, check_request, medium_of
 from imr_torch.characterization.result import Characterization
 from imr_torch.gap import medium_sensitivities
 from imr_torch.goodness import check_fit, compare_parts, follow_gel

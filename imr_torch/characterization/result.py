@@ -13,14 +13,8 @@ from torch import Tensor
 from imr_torch.assimilate import Assimilation, ModelFit, Verdict
 from imr_torch.assimilate.dense import dense_curve
 from imr_torch.calibration import NearGelCheck
-from imr_torch.characterization.bands import (
-    band_document,
-    collapse_rows,
-    find_patterns,
-    predictive_band,
-)
-from imr_torch.characterization.checks import EFFORTS
-from imr_torch.characterization.medium import medium_document
+from imr_torch.characterization.bands import band_document, find_patterns, predictive_band
+from imr_torch.characterization.request import EFFORTS, medium_document
 from imr_torch.characterization.saved import SavedCharacterization, draws_to_dict
 from imr_torch.document import header
 from imr_torch.files import Document, drawn_numbers, without_nonfinite, write_json
@@ -28,7 +22,15 @@ from imr_torch.gap import MediumSensitivity
 from imr_torch.goodness import FitTest, PartsTest
 from imr_torch.material import Belief
 from imr_torch.material.model_belief import intervals
-from imr_torch.observe import Experiment, ExperimentBatch, GelMedium, Noise, Prepared, TraceSet
+from imr_torch.observe import (
+    CollapseTime,
+    Experiment,
+    ExperimentBatch,
+    GelMedium,
+    Noise,
+    Prepared,
+    TraceSet,
+)
 from imr_torch.observe.convert import FrameUse
 from imr_torch.population import Population
 from imr_torch.record import Record
@@ -330,8 +332,21 @@ class Characterization:
         """Each shot of which the collapse time alone is known: measured and, by the most probable
         model, predicted, over t*.
         """
-        fit = self.assimilation[self.posterior.best.model]
-        return collapse_rows(fit, self.assimilation.batch, self.medium.surroundings)
+        prediction = self.assimilation[self.posterior.best.model].prediction
+        return [
+            {
+                "id": e.label,
+                "We": e.design[0],
+                "R_inf*": e.design[1],
+                "Rmax_m": self.medium.surroundings.max_radius(e.design[0]),
+                "t_star": e.time,
+                "sd": e.sd,
+                "scatter": e.scatter,
+                "predicted": float(row[0]),
+            }
+            for e, row in zip(self.assimilation.batch.experiments, prediction, strict=True)
+            if isinstance(e, CollapseTime)
+        ]
 
     def save(self, path: str | Path) -> None:
         """Write :meth:`to_result_document` as JSON, atomically: a result as ``imr-torch

@@ -163,7 +163,7 @@ class SavedCharacterization:
         entry = self.document.get("weighted_draws", {}).get(part.model)
         if entry is None:
             values = part.physical(part.controls(count, seed=seed))
-            equal = torch.full((len(values),), 1.0 / len(values), dtype=values.dtype)
+            equal = torch.full_like(values[:, 0], 1.0 / len(values))
             return WeightedDraws(part.names, values, equal, False)
         try:
             values = tensor([entry["values"][name] for name in part.names]).mT

@@ -19,7 +19,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from imr_torch.cli.options import COMMANDS, read_settings
+from imr_torch.cli.options import COMMANDS, load_extensions, read_settings
 from imr_torch.cli.progress import Terminal
 from imr_torch.errors import ConvergenceError, ConvergenceWarning, ImrError, InputDataError
 from imr_torch.files import check_target
@@ -31,8 +31,7 @@ def build_parser() -> argparse.ArgumentParser:
     top = argparse.ArgumentParser(
         prog="imr-torch",
         description="Inertial microcavitation rheometry: simulate bubbles, infer gel properties from "
-        "R(t), design the next "
-        "experiment.",
+        "R(t), design the next experiment.",
         epilog="Start with:  imr-torch demo",
     )
     top.add_argument(
@@ -116,13 +115,10 @@ def main(argv: Sequence[str] | None = None, *, events: bool = False) -> int:
 def _run_named(args: argparse.Namespace) -> None:
     """Import extensions and what the subcommand runs, and run it."""
     module = importlib.import_module(f"imr_torch.cli.{args.command}")
-    importlib.import_module("torch").set_num_threads(
-        1
-    )  # of tensor operators, which are small; the engine has its own threads
+    # of tensor operators, which are small; the engine has its own threads
+    importlib.import_module("torch").set_num_threads(1)
+    args.extensions = load_extensions(getattr(args, "imports", ()))
     # slow to import for help
-    args.extensions = importlib.import_module("imr_torch.cli.extensions").load_extensions(
-        getattr(args, "imports", ())
-    )
     importlib.import_module("imr_torch.cli.common").read_options(args)
     module.run_command(args)
 

@@ -21,7 +21,6 @@ from imr_torch.cli.common import (
     prior_of,
     refuse_options,
     report_result,
-    simulator_of,
     with_medium,
 )
 from imr_torch.errors import InputDataError
@@ -58,12 +57,11 @@ def run_command(args: Namespace) -> None:
         refuse_options(args, ("layout", "rest_radius"), why)
     settings = settings_of(args)
     prior = prior_of(args) if begun is None else begun
-    simulator, prior, medium = with_medium(args, simulator_of(args), prior)
+    simulator, prior, medium = with_medium(args, prior)
     if args.case and medium.sds:
         raise InputDataError(
             f"--medium gives {label(next(iter(medium.sds)))} a standard deviation, and --case "
-            "simulates a gel whose medium is "
-            "known; state values alone."
+            "simulates a gel whose medium is known; state values alone."
         )
     print(medium.report())
     started = time.process_time()
@@ -74,12 +72,13 @@ def run_command(args: Namespace) -> None:
     try:
         with campaign.journal.hold_lock():
             remove_temporaries(campaign.journal.folder, f"{args.command}.json", "*.png")
-            proposals, stopped = (
-                _run_simulated(campaign, case, args) if case else _run_real(campaign, args)
-            )
-            _report_campaign(
-                campaign, case, args, time.process_time() - started, proposals, stopped
-            )
+            proposals: Sequence[Proposal] = ()
+            if case:
+                stopped = _run_simulated(campaign, case, args)
+            else:
+                proposals, stopped = _run_real(campaign, args)
+            seconds = time.process_time() - started
+            _report_campaign(campaign, case, args, seconds, proposals, stopped)
     except KeyboardInterrupt:
         kept = (
             f"; what was finished is in {campaign.journal.path}, continue with --resume"
@@ -123,13 +122,8 @@ def _open_campaign(
     return Campaign(folder, prior, simulator, settings=settings, seed=args.seed, note=note)
 
 
-def _run_simulated(
-    campaign: Campaign, case: ReferenceCase, args: Namespace
-) -> tuple[Sequence[Proposal], str | None]:
-    """Shoot the secret gel of a reference case.
-
-    No proposals, and why it ended early.
-    """
+def _run_simulated(campaign: Campaign, case: ReferenceCase, args: Namespace) -> str | None:
+    """Shoot the secret gel of a reference case; why it ended early, if it did."""
     progress = args.terminal.plan_stages()
     plan = campaign.settings.plan
     gels = PARAMETERS.pack({**case.truth, **read_hidden(args)})
@@ -146,7 +140,7 @@ def _run_simulated(
         campaign.forget(args.forget, progress=progress)
     campaign.run(shoot_gel, args.designs, q=args.q, progress=progress)
     ended = campaign.journal.find_event("stop", campaign.told)
-    return (), ended["reason"] if ended else None
+    return ended["reason"] if ended else None
 
 
 def _run_real(campaign: Campaign, args: Namespace) -> tuple[Sequence[Proposal], str | None]:

@@ -11,7 +11,6 @@ from imr_torch.cli.common import (
     prior_of,
     refuse_options,
     show_result,
-    simulator_of,
     with_medium,
     write_result,
 )
@@ -47,7 +46,7 @@ def run_command(args: Namespace) -> None:
             f"{len(shots)} shot(s) of which the collapse time alone is known, from {names}."
         )
     print("\n".join(read))
-    simulator, prior, medium = with_medium(args, simulator_of(args), prior_of(args), traces, shots)
+    simulator, prior, medium = with_medium(args, prior_of(args), traces, shots)
     prepared = prepare(
         traces,
         simulator.conditions.surroundings,

@@ -13,8 +13,8 @@ from typing import Any
 
 from imr_torch.assimilate import En4DVarOptions, FitOptions, SearchOptions
 from imr_torch.characterization import medium_of
-from imr_torch.cli.figures import save_figures
 from imr_torch.cli.options import COLLAPSES, DEFAULT_MODELS
+from imr_torch.cli.plot import save_figures
 from imr_torch.document import is_explained
 from imr_torch.errors import InputDataError
 from imr_torch.files import Document, read_json, without_nonfinite, write_json
@@ -64,15 +64,15 @@ def refuse_options(args: Namespace, names: Iterable[str], why: str) -> None:
 
 def with_medium(
     args: Namespace,
-    simulator: Simulator,
     prior: Belief,
     traces: TraceSet | None = None,
     shots: Sequence[CollapseShot] = (),
 ) -> tuple[Simulator, Belief, GelMedium]:
-    """Simulator and prior with the medium that the options and the files state.
+    """The simulator that the options name and a prior, with the medium that options and files state.
 
     The header of results will say it.
     """
+    simulator = simulator_of(args)
     surroundings = simulator.conditions.surroundings
     medium = medium_of(traces or TraceSet(()), args.medium, surroundings, shots)
     args.gel_medium = medium

@@ -5,8 +5,7 @@ from argparse import Namespace
 from pathlib import Path
 
 from imr_torch.errors import ConvergenceError, InputDataError
-from imr_torch.example import example_gel
-from imr_torch.files import write_bytes
+from imr_torch.files import example_gel, write_bytes
 
 
 def run_command(args: Namespace) -> None:

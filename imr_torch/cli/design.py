@@ -9,7 +9,6 @@ from imr_torch.cli.common import (
     exact_medium,
     prior_of,
     report_result,
-    simulator_of,
     with_medium,
 )
 from imr_torch.cli.progress import DESIGN
@@ -56,9 +55,8 @@ def plan_of(args: Namespace) -> Plan:
 
 def run_command(args: Namespace) -> None:
     """Search and report."""
-    simulator = simulator_of(args)
     space = space_of(args)
-    simulator, prior, medium = with_medium(args, simulator, prior_of(args))
+    simulator, prior, medium = with_medium(args, prior_of(args))
     print(medium.report())
     rule = stopping_rule(*filter(None, [args.until]))
     if rule:
@@ -82,13 +80,12 @@ def run_command(args: Namespace) -> None:
         chosen = measure.choose_sequence(args.shots)
         ways = {"one design repeated": (chosen[:1].expand_as(chosen), plan)}
         ways |= {what: (chosen, other) for what, other in camera_variants(plan).items()}
-        document["forecast"] = {"until": args.until, "most": args.shots} | {
-            "rows": [
-                {"what": what}
-                | forecast_shots(prior, designs, bubbles, other, rule, seed=args.seed).to_dict()
-                for what, (designs, other) in ways.items()
-            ]
-        }
+        rows = [
+            {"what": what}
+            | forecast_shots(prior, designs, bubbles, other, rule, seed=args.seed).to_dict()
+            for what, (designs, other) in ways.items()
+        ]
+        document["forecast"] = {"until": args.until, "most": args.shots, "rows": rows}
     acquisition = ExpectedInformationGain(
         prior, bubbles, Laplace(args.draws), target=args.target, plan=plan, space=space
     )

@@ -139,14 +139,12 @@ def _load_experiments(
     refuse_options(args, ("layout", "rest_radius", "collapses"), why)
     medium = medium_of(TraceSet(()), args.medium, assumed)
     loaded = {name: load_set(name, surroundings=medium.surroundings) for name in sets}
-    if len(loaded) == 1:
-        return next(iter(loaded.values())), medium, TraceSet(())
-    renamed = [
-        replace(e, label=f"{Path(name).stem} {e.label}")
+    named = [
+        replace(e, label=f"{Path(name).stem} {e.label}") if len(loaded) > 1 else e
         for name, experiments in loaded.items()
         for e in experiments
     ]
-    return renamed, medium, TraceSet(())
+    return named, medium, TraceSet(())
 
 
 def _is_set(name: str) -> bool:

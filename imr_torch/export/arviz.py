@@ -7,6 +7,7 @@ Gaussian where it has none. The log likelihood is that of whole experiments, so 
 leave-one-out leaves out an experiment. Needs the extra ``imr-torch[arviz]``.
 """
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,10 +22,10 @@ from imr_torch.observe import NUISANCES, ExperimentBatch
 from imr_torch.random import child, generator
 
 if TYPE_CHECKING:
-    from xarray import DataTree, Variable
+    from xarray import DataTree
 
-Variables = dict[str, "Variable"]
-"""The variables of one group, its coordinates among them."""
+Variable = tuple[list[str], np.ndarray, dict[str, str]]
+"""Dimensions, values and attributes, as xarray takes them."""
 
 
 def to_arviz(source: Assimilation | Belief, *, seed: int, draws: int = 1000) -> "DataTree":
@@ -61,18 +62,22 @@ def to_arviz(source: Assimilation | Belief, *, seed: int, draws: int = 1000) -> 
     if draws < 1:
         raise InputDataError(f"to_arviz: draws is {draws}; at least 1 is needed.")
     groups = _list_groups(source, seed, draws)
-    labels: dict[str, Any] = {"nuisance": list(NUISANCES)}
+    labels: dict[Any, Sequence[str]] = {"nuisance": NUISANCES}
     if isinstance(source, Assimilation):
         labels["experiment"] = [e.label for e in source.batch.experiments]
+    else:
+        labels["model"] = source.keys
     datasets = {}
     for path, variables in groups.items():
-        sizes = {str(dim): n for each in variables.values() for dim, n in each.sizes.items()}
-        axes = {name: _make_variable(name, labels.get(name, range(n))) for name, n in sizes.items()}
-        datasets[f"/{path}"] = Dataset(axes | variables)
+        dataset = Dataset(variables)
+        axes = {name: list(labels.get(name, range(n))) for name, n in dataset.sizes.items()}
+        datasets[f"/{path}"] = dataset.assign_coords(axes)
     return DataTree.from_dict(datasets, name="imr_torch")
 
 
-def _list_groups(source: Assimilation | Belief, seed: int, draws: int) -> dict[str, Variables]:
+def _list_groups(
+    source: Assimilation | Belief, seed: int, draws: int
+) -> dict[str, dict[str, Variable]]:
     """Path of each group and its variables, but for the labels of its dimensions."""
     if isinstance(source, Belief):
         branches = {
@@ -82,10 +87,7 @@ def _list_groups(source: Assimilation | Belief, seed: int, draws: int) -> dict[s
             for part in source.models
         }
         return branches | {
-            "models": {
-                "model": _make_variable("model", list(source.keys)),
-                "log_probability": _make_variable("model", source.log_probabilities, "nat"),
-            }
+            "models": {"log_probability": _make_variable("model", source.log_probabilities, "nat")}
         }
     if not isinstance(source, Assimilation):
         raise InputDataError(
@@ -100,16 +102,13 @@ def _list_groups(source: Assimilation | Belief, seed: int, draws: int) -> dict[s
     }
 
 
-def _make_variable(dims: str, values: Any, units: str = "", long_name: str = "") -> "Variable":
+def _make_variable(dims: str, values: Any, units: str = "", long_name: str = "") -> Variable:
     """A variable with its dimensions, separated by blanks, and its attributes."""
-    from xarray import Variable
-
     attributes = {"units": units, "long_name": long_name}
-    array = values.numpy() if isinstance(values, Tensor) else np.asarray(values)
-    return Variable(dims.split(), array, {k: v for k, v in attributes.items() if v})
+    return dims.split(), np.asarray(values), {k: v for k, v in attributes.items() if v}
 
 
-def _list_parameters(part: ModelBelief, controls: Tensor) -> Variables:
+def _list_parameters(part: ModelBelief, controls: Tensor) -> dict[str, Variable]:
     """Free parameters in SI at ``n x d`` controls ``z``."""
     values = part.physical(controls)
     return {
@@ -125,7 +124,7 @@ def _list_parameters(part: ModelBelief, controls: Tensor) -> Variables:
 
 def _list_fit_groups(
     fit: ModelFit, batch: ExperimentBatch, seed: int, draws: int
-) -> dict[str, Variables]:
+) -> dict[str, dict[str, Variable]]:
     """All groups of one model's fit."""
     data = _list_data(batch)
     sample = fit.sample
@@ -164,7 +163,7 @@ def _list_fit_groups(
     } | data
 
 
-def _list_data(batch: ExperimentBatch) -> dict[str, Variables]:
+def _list_data(batch: ExperimentBatch) -> dict[str, dict[str, Variable]]:
     """Mean curves; designs, times, repeats and prior spreads of the nuisances. NaN where an
     experiment has fewer frames than the longest.
     """

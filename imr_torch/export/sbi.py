@@ -146,9 +146,8 @@ class SbiSimulator:
         batch = self.batch
         source = generator(self.seed)
         shape = (len(values), *batch.times.shape)
-        shifts = randn(*shape[:2], 3, generator=source)
-        shifts = shifts * batch.nuisance_sds
-        moved = shifts if bool((shifts != 0.0).any()) else None
+        shifts = randn(*shape[:2], 3, generator=source) * batch.nuisance_sds
+        moved = shifts if bool(shifts.any()) else None
         clean = predict(self.simulator, parameters, batch, moved)
         noise = randn(shape, generator=source)
         sd = batch.noise.sd(clean, batch.times) * batch.noise_factors

@@ -2,14 +2,13 @@
 document alone.
 """
 
-from imr_torch.document import SCHEMA_VERSION, check_document, header, read_document
+from imr_torch.document import check_document, header, read_document
 from imr_torch.drawing import NamedFigure
 from imr_torch.results.campaign import campaign_document
 from imr_torch.results.figures import draw_figures
 from imr_torch.results.page import document_page, document_report, write_page
 
 __all__ = [
-    "SCHEMA_VERSION",
     "NamedFigure",
     "campaign_document",
     "check_document",

@@ -103,9 +103,9 @@ def _fit_test(campaign: Campaign) -> Document | None:
 def _without_cloud(belief: Belief) -> Document:
     """A belief as JSON without its draws, which its densities do not need."""
     document = belief.to_dict()
-    return document | {
-        "models": [{k: v for k, v in part.items() if k != "cloud"} for part in document["models"]]
-    }
+    for part in document["models"]:
+        part.pop("cloud", None)
+    return document
 
 
 def _document_curves(campaign: Campaign) -> list[Document]:

@@ -68,7 +68,7 @@ def document_page(document: Document, *, title: str = "", report: str = "") -> s
     """
     kind = _check_kind(document)
     names = _list_names(document)
-    figures = draw_figures(document) if document.get("map", True) else []
+    figures = draw_figures(document)
     of_curves = [figure for figure in figures if figure.section == "The curves"]
     return _fill_template(
         f"{kind}.html",
@@ -76,8 +76,6 @@ def document_page(document: Document, *, title: str = "", report: str = "") -> s
         title=title or TITLES[kind].format(files=_name_files(document) or "the given curves"),
         drawn=_draw_pictures(figure for figure in figures if figure not in of_curves[6:]),
         report=report or _fill_template(f"{kind}.txt", **names),
-        warning=False,
-        next_step="",
     )
 
 

@@ -57,8 +57,8 @@ def begun(all_runs: Runs, arguments: Callable[[str], list[str]], kind: str) -> R
 
 
 def finished(run: Run) -> None:
-    run.wait(120.0)
-    assert not run.running
+    run.join(120.0)
+    assert not run.is_alive()
 
 
 def test_that_a_refused_command_keeps_its_message(tmp_path: Path) -> None:
@@ -93,7 +93,7 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Seen:
     assert all_runs.current is first
     waiting = [result.name for result in all_runs.waiting]
     until = time.monotonic() + 120.0
-    while first.part is None and first.running and time.monotonic() < until:
+    while first.part is None and first.is_alive() and time.monotonic() < until:
         time.sleep(0.1)
     part = first.part
     before = [result.name for result in all_runs.list_results()]
@@ -101,7 +101,7 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Seen:
     first.stop()
     finished(first)
     until = time.monotonic() + 120.0
-    while (all_runs.busy or all_runs.waiting) and time.monotonic() < until:
+    while (all_runs.current or all_runs.waiting) and time.monotonic() < until:
         time.sleep(0.1)
     ended = {result.name: result.outcome for result in all_runs.list_results()}
     return Seen(all_runs, part, waiting, before, ended, second.folder)

@@ -77,8 +77,8 @@ def test_that_what_is_taken_out_is_kept_with_the_json_beside_it(tmp_path: Path) 
 
 def test_that_a_folder_is_found_again_as_it_was_left(tmp_path: Path) -> None:
     made = workspace(tmp_path)
-    made.set_medium("water,temperature=310")
-    made.set_layout("")
+    made.change_setting("medium", "water,temperature=310")
+    made.change_setting("layout", "")
     again = Workspace(made.folder)
     assert again.settings == {"layout": "", "medium": "water,temperature=310"}
     assert again.find_medium().surroundings.temperature == 310.0
@@ -87,9 +87,9 @@ def test_that_a_folder_is_found_again_as_it_was_left(tmp_path: Path) -> None:
 def test_that_wrong_statements_change_nothing(tmp_path: Path) -> None:
     made = workspace(tmp_path)
     with pytest.raises(InputDataError, match="density is 1; expected"):
-        made.set_medium("density=1")
+        made.change_setting("medium", "density=1")
     with pytest.raises(InputDataError):
-        made.set_layout("radius")
+        made.change_setting("layout", "radius")
     assert made.settings == {"layout": "", "medium": ""}
 
 

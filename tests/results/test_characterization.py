@@ -14,7 +14,7 @@ import pytest
 
 from imr_torch.characterization import EFFORTS
 from imr_torch.cli import main
-from imr_torch.cli.figures import save_figures
+from imr_torch.cli.plot import save_figures
 from imr_torch.errors import InputDataError
 from imr_torch.files import write_json
 from imr_torch.labels import file_name, plain

@@ -143,7 +143,7 @@ def test_that_a_population_of_one_curve_is_refused(monkeypatch) -> None:
         InputDataError, match="A population is inferred from curves, and there is 1"
     ):
         characterize(traces(("a",)), simulator=SIMULATOR, population=True)
-    monkeypatch.setattr("imr_torch.characterization.checks.MOST", 2)
+    monkeypatch.setattr("imr_torch.characterization.request.MOST", 2)
     with pytest.raises(
         InputDataError,
         match="gen_qkv has 3 parameters of the gel, and at most 2 can differ between shots",
