@@ -19,18 +19,16 @@ from imr_torch.assimilate import ModelFit, SearchOptions
 from imr_torch.assimilate.slow_noise import SmoothDeviations, smooth_deviations
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.gap.differing import fit_differing
-from imr_torch.gap.evidence import CheckedEvidence, check_evidence
 from imr_torch.gap.hypotheses import (
     GEL_SCATTER,
     Hypothesis,
     finish,
     fit_hypotheses,
     laplace_evidence,
-    may_differ,
     promised,
 )
-from imr_torch.gap.lookalike import Likeness
-from imr_torch.gap.verdict import probabilities
+from imr_torch.gap.lookalike import Likeness, likeness
+from imr_torch.gap.verdict import CheckedEvidence, check_evidence, probabilities
 from imr_torch.goodness.score import GapTest
 from imr_torch.material import Effect, ModelBelief
 from imr_torch.observe import ExperimentBatch
@@ -155,12 +153,19 @@ class Inquiry:
         effects: the library to choose from.
         batch: the data.
         simulator: makes the bubbles.
+        alone: the base model's fit of each experiment by itself, from which gels that differ start;
+            without them they are not among the causes.
+        most: parts that are selected at most.
+        progress: called with one line per step.
     """
 
     base: ModelBelief
     effects: tuple[Effect, ...]
     batch: ExperimentBatch
     simulator: Simulator
+    alone: Sequence[ModelFit] = ()
+    most: int = 2
+    progress: Progress = None
 
     def longer(self, held: Hypothesis) -> dict[str, Hypothesis]:
         """What a hypothesis can be made by one part more -> that hypothesis.
@@ -170,9 +175,13 @@ class Inquiry:
         """
         taken = {name for effect in held.effects for name in effect.names}
         found = {e.name: held.beside(e) for e in self.effects if not taken & set(e.names)}
-        if not held.gels_differ and may_differ(self.batch):
+        if self.alone and not held.gels_differ:
             found[GEL_SCATTER] = held.differing()
         return found
+
+    def test(self, fit: ModelFit, held: Hypothesis, *, seed: int) -> Adequacy:
+        """The gap test at the fit of a hypothesis."""
+        return adequacy_test(fit, self.effects, held.seen(self.batch), self.simulator, seed=seed)
 
 
 def attribute(
@@ -182,9 +191,7 @@ def attribute(
     *,
     before: Adequacy,
     seed: int,
-    alone: Sequence[ModelFit] = (),
     masked: float = 1.0,
-    progress: Progress = None,
 ) -> Attribution:
     """Fit all hypotheses with one part more and compute their probabilities.
 
@@ -194,42 +201,36 @@ def attribute(
         held: what every hypothesis has.
         before: the gap test at ``null``.
         seed: of the fits and of the adequacy test.
-        alone: the base model's fit of each experiment by itself, from which gels that differ start;
-            without them they are not among the causes.
         masked: beside a selected part, the chance that this alone did not explain an unknown
             effect.
-        progress: called with one line per step.
     """
     longer = inquiry.longer(held)
-    if not alone:
-        longer.pop(GEL_SCATTER, None)
-    if progress:
-        progress(ProgressLine(f"attribution: {len(longer)} hypotheses", stage="effects"))
-    alike = [h for h in longer.values() if h.gels_differ is held.gels_differ]
+    if inquiry.progress:
+        inquiry.progress(ProgressLine(f"attribution: {len(longer)} hypotheses", stage="effects"))
+    differing = longer.pop(GEL_SCATTER, None)
     fits = {held.name: null} | fit_hypotheses(
-        alike,
+        list(longer.values()),
         null,
         inquiry.batch,
         inquiry.simulator,
         seed=seed,
         starts=before.starts,
         options=_FIT,
-        progress=progress,
+        progress=inquiry.progress,
     )
-    if GEL_SCATTER in longer:
-        differing = longer[GEL_SCATTER]
+    if differing is not None:
         lowest = min(fit.cost for fit in fits.values())
         fits[differing.name] = fit_differing(
             differing,
             null,
-            alone,
+            inquiry.alone,
             inquiry.batch,
             inquiry.simulator,
             seed=child(seed, "differing"),
             options=replace(_FIT_GELS, rival=lowest),
         )
     evidence = {name: laplace_evidence(fit) for name, fit in fits.items()}
-    return _Round(inquiry, before, held, longer, masked, fits, evidence).conclude(seed, progress)
+    return _Round(inquiry, before, held, masked, fits, evidence).conclude(seed)
 
 
 def reconsider(
@@ -258,8 +259,8 @@ def reconsider(
     Returns:
         ``found`` itself unless the effect alone explains more than its winner.
     """
-    longer = inquiry.longer(found.held)
-    alone = longer[part]
+    inquiry = replace(inquiry, progress=None)
+    alone = inquiry.longer(found.held)[part]
     if alone.gels_differ:
         return found
     values = dict(zip(beside.prior.names, beside.prior.physical(beside.mean).tolist(), strict=True))
@@ -278,70 +279,58 @@ def reconsider(
         return found
     fits = found.fits | {alone.name: fit}
     logs = found.log_evidence | {alone.name: evidence}
-    return _Round(inquiry, before, found.held, longer, 1.0, fits, logs).conclude(seed)
+    return _Round(inquiry, before, found.held, 1.0, fits, logs).conclude(seed)
 
 
 @dataclass
 class _Round:
-    """One round of attribution: what is asked about (part -> hypothesis) beside what is held, the
-    test at the fit of that, and the fits and their evidence, which are brought up to date.
+    """One round of attribution: what is held, the test at the fit of that, and the fits and their
+    evidence, which are brought up to date.
     """
 
     inquiry: Inquiry
     before: Adequacy
     held: Hypothesis
-    longer: dict[str, Hypothesis]
     masked: float
     fits: dict[str, ModelFit]
     evidence: dict[str, float]
     left_out: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        self.longer = self.inquiry.longer(self.held)
         self.hypotheses = {h.name: h for h in (self.held, *self.longer.values())}
-        self.null = self.fits[self.held.name]
         self.batch = self.held.seen(self.inquiry.batch)
 
-    def conclude(self, seed: int, progress: Progress = None) -> Attribution:
+    def conclude(self, seed: int) -> Attribution:
         """What the evidence of the fits and the winner's adequacy say."""
-        inquiry = self.inquiry
-        self._find_winner((), seed, progress)
+        simulator = self.inquiry.simulator
+        self._find_winner((), seed)
         alike = {
             name: value
             for name, value in self.evidence.items()
             if self.hypotheses[name].gels_differ is self.held.gels_differ
         }
-        checked = check_evidence(
-            self.fits,
-            alike,
-            self.batch,
-            inquiry.simulator,
-            seed=child(seed, "evidence"),
-        )
+        own = child(seed, "evidence")
+        checked = check_evidence(self.fits, alike, self.batch, simulator, seed=own)
         if checked and all(found.reliable for found in checked.values()):
             self.evidence |= {name: found.sampled for name, found in checked.items()}
-            self._find_winner(checked, child(seed, "ahead"), progress)
+            self._find_winner(checked, child(seed, "ahead"))
         winner = self.hypotheses[self._leader()]
         fit = self.fits[winner.name]
-        left = adequacy_test(
-            fit,
-            inquiry.effects,
-            winner.seen(inquiry.batch),
-            inquiry.simulator,
-            seed=child(seed, "adequacy"),
-        )
-        size = math.sqrt(max(2.0 * (self.null.cost - fit.cost), 0.0))
-        like = self.before.likeness(size, seed=seed)
-        bayes_factor = like.bayes_factor(left.test.p_value)
+        null = self.fits[self.held.name]
+        left = self.inquiry.test(fit, winner, seed=child(seed, "adequacy"))
+        size = math.sqrt(max(2.0 * (null.cost - fit.cost), 0.0))
+        like = likeness(size, self.before, seed=seed)
         laws = self.batch.noise_laws
         smooth = None  # where the noise is known, slow noise included
         if laws is not None and laws.of_residuals:
-            smooth = smooth_deviations(self.null.linearise(self.batch, inquiry.simulator))
+            smooth = smooth_deviations(null.linearise(self.batch, simulator))
         return Attribution(
             self.held,
             self.hypotheses,
             self.fits,
             self.evidence,
-            self._posterior(bayes_factor, smooth),
+            self._posterior(like.bayes_factor(left.test.p_value), smooth),
             winner,
             left,
             like,
@@ -353,7 +342,7 @@ class _Round:
         longer = [name for name in self.evidence if name != self.held.name]
         return max(longer, key=lambda name: self.evidence[name])
 
-    def _find_winner(self, sampled: Collection[str], seed: int, progress: Progress) -> None:
+    def _find_winner(self, sampled: Collection[str], seed: int) -> None:
         """Continue the fit of the leader until the leader's has converged.
 
         One that does not converge loses its evidence and is left out; evidence that was ``sampled``
@@ -368,7 +357,7 @@ class _Round:
                     self.hypotheses[leader].seen(self.inquiry.batch),
                     self.inquiry.simulator,
                     seed=child(seed, "finish"),
-                    progress=progress,
+                    progress=self.inquiry.progress,
                 )
                 if leader not in sampled:
                     self.evidence[leader] = laplace_evidence(self.fits[leader])

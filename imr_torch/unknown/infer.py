@@ -13,11 +13,11 @@ terms are then tried in place of the function, about the same trajectory.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from operator import attrgetter
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
@@ -107,22 +107,24 @@ class Unknown:
 @dataclass(frozen=True)
 class _State:
     """Gel, nuisances ``E x w``, the unknown's weights, and what they make in each shot: a pressure in
-    each pulse, or errors of radius and time in each frame.
+    each pulse or, not ``inside`` the equation of motion, errors of radius and time in each frame.
     """
 
     gel: Controls
     nuisances: Float[Tensor, "experiments nuisances"]
     weights: Float[Tensor, "weights"]
     made: tuple[Tensor, ...]
+    inside: bool = True
 
     def towards(self, other: "_State", share: float) -> "_State":
         """A state on the way to another."""
         made = zip(self.made, other.made, strict=True)
-        return _State(
-            torch.lerp(self.gel, other.gel, share),
-            torch.lerp(self.nuisances, other.nuisances, share),
-            torch.lerp(self.weights, other.weights, share),
-            tuple(torch.lerp(a, b, share) for a, b in made),
+        return replace(
+            self,
+            gel=torch.lerp(self.gel, other.gel, share),
+            nuisances=torch.lerp(self.nuisances, other.nuisances, share),
+            weights=torch.lerp(self.weights, other.weights, share),
+            made=tuple(torch.lerp(a, b, share) for a, b in made),
         )
 
 
@@ -205,13 +207,7 @@ def infer_unknown(
         Shot(fit.prior, replace(batch, experiments=(experiment,)), simulator)
         for experiment in batch.experiments
     )
-    still = _State(
-        fit.mean,
-        fit.nuisances,
-        zeros(0),
-        tuple(zeros(len(shot.moments)) for shot in shots),
-    )
-    search = _Search(shots, still, _respond(shots, still), sizes, rounds)
+    search = _Search(fit, batch.nuisance_sds > 0.0, shots, sizes, rounds)
     paths = [response.path for response in search.responses]
     if not all(bool(torch.isfinite(path.radius).all()) for path in paths):
         return None
@@ -226,7 +222,7 @@ def infer_unknown(
     for name in ("material", "contents", "sample"):
         fits[name] = search.fit(kinds[name], lead=fits["drive"])
     fits[CAMERA] = search.fit(camera_errors, inside=False)
-    base, *_ = _assemble(shots, still, search.responses, ()).solve(1.0)
+    base, *_ = search.assemble(search.still, search.responses, ()).solve(1.0)
     logs = {name: found.log_evidence for name, found in fits.items()}
     probabilities = tensor(list(logs.values())).softmax(0).tolist()
     best = max(logs, key=logs.__getitem__)
@@ -235,24 +231,7 @@ def infer_unknown(
         dict(zip(logs, probabilities, strict=True)),
         logs[best] - float(base),
         {} if outside else _compare_terms(search, fits[best]),
-        () if outside else _missing_pressures(fit, shots, fits[best], kinds[best]),
-    )
-
-
-def _at_state(
-    shots: Sequence[Shot], state: _State, *, inside: bool
-) -> list[tuple[Shot, Tensor, Tensor]]:
-    """Shots with their nuisances and pressures; errors of the camera are undone in the data."""
-    rows = zip(shots, state.nuisances, state.made, strict=True)
-    if inside:
-        return list(rows)
-    return [(shot.reread(made), own, torch.zeros_like(shot.moments)) for shot, own, made in rows]
-
-
-def _respond(shots: Sequence[Shot], state: _State, *, inside: bool = True) -> tuple[Response, ...]:
-    """Responses at a state."""
-    return tuple(
-        shot.respond(state.gel, *own) for shot, *own in _at_state(shots, state, inside=inside)
+        () if outside else _missing_pressures(search, fits[best], kinds[best]),
     )
 
 
@@ -261,18 +240,29 @@ class _Search:
     """Gauss-Newton of any kind.
 
     Args:
+        base: the base model's fit.
+        uncertain: ``E x w`` boolean tensor, nuisances that are uncertain.
         shots: the data.
-        still: the base model's fit, where nothing is missing.
-        responses: there.
         sizes: that the evidence averages over.
         rounds: trajectories that are simulated again, at most.
     """
 
+    base: ModelFit
+    uncertain: Bool[Tensor, "experiments nuisances"]
     shots: Sequence[Shot]
-    still: _State
-    responses: tuple[Response, ...]
     sizes: Sequence[float]
     rounds: int
+
+    @cached_property
+    def still(self) -> _State:
+        """The base model's fit, where nothing is missing."""
+        made = tuple(zeros(len(shot.moments)) for shot in self.shots)
+        return _State(self.base.mean, self.base.nuisances, zeros(0), made)
+
+    @cached_property
+    def responses(self) -> tuple[Response, ...]:
+        """Responses there."""
+        return self.respond(self.still)
 
     def fit(
         self,
@@ -296,114 +286,100 @@ class _Search:
         still = self.still
         if not inside:
             frames = [shot.batch.times.shape[1] for shot in self.shots]
-            still = replace(still, made=tuple(zeros(2 * n) for n in frames))
-        found = self.linearise(columns, still, self.responses, inside=inside)
+            still = replace(still, made=tuple(zeros(2 * n) for n in frames), inside=False)
+        found = self.linearise(columns, still, self.responses)
         found = replace(found, state=replace(still, weights=0.0 * found.aim.weights))
         if lead is not None:
             led = self.linearise(columns, lead.state, lead.responses)
             if self._cost(led.aim, led.size) < self._cost(found.state, led.size):
-                found = self.linearise(columns, led.aim, _respond(self.shots, led.aim))
+                found = self.linearise(columns, led.aim, self.respond(led.aim))
         for _ in range(self.rounds - 1):
-            before = self._cost(found.state, found.size, inside=inside)
+            before = self._cost(found.state, found.size)
             for number in range(halvings):
                 moved = found.state.towards(found.aim, 0.5**number)
-                gain = before - self._cost(moved, found.size, inside=inside)
+                gain = before - self._cost(moved, found.size)
                 if gain > 0.0:  # not where a bubble failed: NaN is not larger
                     break
             else:
                 break
-            there = _respond(self.shots, moved, inside=inside)
-            found = self.linearise(columns, moved, there, inside=inside)
+            found = self.linearise(columns, moved, self.respond(moved))
             if gain < settled:
                 break
         return found
 
-    def linearise(
-        self,
-        columns: Columns,
-        state: _State,
-        responses: tuple[Response, ...],
-        *,
-        inside: bool = True,
-    ) -> _Fit:
+    def linearise(self, columns: Columns, state: _State, responses: tuple[Response, ...]) -> _Fit:
         """A kind about a state that another may have made."""
         pairs = zip(self.shots, responses, strict=True)
         own = tuple(columns(number, *pair) for number, pair in enumerate(pairs))
-        system = _assemble(self.shots, state, responses, own, inside=inside)
+        system = self.assemble(state, responses, own)
         solved = {size: system.solve(size) for size in self.sizes}
         logs = torch.stack([log for log, _, _ in solved.values()])
         size = self.sizes[int(logs.argmax())]
         evidence = float(logs.logsumexp(0)) - math.log(len(logs))
-        aim = _aim(self.shots, state, solved[size][1], size, own)
+        aim = self._aim(state, solved[size][1], size, own)
         return _Fit(state, responses, system, size, evidence, aim)
 
-    def _cost(self, state: _State, size: float, *, inside: bool = True) -> float:
+    def respond(self, state: _State) -> tuple[Response, ...]:
+        """Responses at a state."""
+        return tuple(shot.respond(state.gel, *own) for shot, *own in self._shots_at(state))
+
+    def assemble(
+        self, state: _State, responses: Sequence[Response], columns: Sequence[Tensor]
+    ) -> _System:
+        """Rows of all shots, and of the priors of gel and nuisances; without columns nothing is
+        unknown.
+        """
+        gel = len(state.gel)
+        coordinates = torch.cat((state.gel, state.nuisances[self.uncertain]))
+        residuals = []
+        unknown = []
+        for number, (shot, response) in enumerate(zip(self.shots, responses, strict=True)):
+            # what the state holds, then each column, as changes of the curve
+            made = torch.cat((state.made[number][:, None], *columns[number : number + 1]), 1)
+            errors = partial(shot.project_errors, prediction=response.prediction)
+            changes = made.mT @ response.pressure if state.inside else errors(made)
+            residuals.append(response.residual + changes[0])
+            unknown.append(changes[1:])
+        by_gel = torch.cat([response.fitted[:gel] for response in responses], 1)
+        by_nuisance = torch.block_diag(*(response.fitted[gel:] for response in responses))
+        data = torch.cat((by_gel, by_nuisance)).mT
+        weights = torch.cat(unknown, 1).mT
+        return _System(
+            torch.cat((*residuals, coordinates)),
+            torch.cat((data, -eye(len(coordinates)))),
+            torch.nn.functional.pad(weights, (0, 0, 0, len(coordinates))),
+        )
+
+    def _aim(
+        self, state: _State, solution: Tensor, size: float, columns: Sequence[Tensor]
+    ) -> _State:
+        """The state at which a linear solution aims."""
+        parts = (len(state.gel), int(self.uncertain.sum()), columns[0].shape[1])
+        gel, moved, weights = solution.split(parts)
+        nuisances = state.nuisances.clone()
+        nuisances[self.uncertain] += moved
+        weights = size * weights
+        made = tuple(own @ weights for own in columns)
+        return replace(state, gel=state.gel + gel, nuisances=nuisances, weights=weights, made=made)
+
+    def _cost(self, state: _State, size: float) -> float:
         """Negative log of likelihood x priors, nats; infinite where frames would change order."""
         priors = (state.gel, state.nuisances, state.weights / size)
         total = 0.5 * sum(float(x.square().sum()) for x in priors)
         try:
-            seen = _at_state(self.shots, state, inside=inside)
+            seen = self._shots_at(state)
         except InputDataError:
             return math.inf
         for shot, *own in seen:
             total -= float(shot.batch.log_likelihood(shot.predict(state.gel, *own)[None]).sum())
         return total
 
-
-def _assemble(
-    shots: Sequence[Shot],
-    state: _State,
-    responses: Sequence[Response],
-    columns: Sequence[Tensor],
-    *,
-    inside: bool = True,
-) -> _System:
-    """Rows of all shots, and of the priors of gel and nuisances; without columns nothing is unknown."""
-    gel = len(state.gel)
-    own = [row[shot.uncertain] for row, shot in zip(state.nuisances, shots, strict=True)]
-    coordinates = torch.cat((state.gel, *own))
-    residuals = []
-    fitted = []
-    unknown = []
-    place = gel
-    for number, (shot, response) in enumerate(zip(shots, responses, strict=True)):
-        rows = zeros(len(coordinates), len(response.residual))
-        rows[:gel] = response.fitted[:gel]
-        rows[place : place + len(own[number])] = response.fitted[gel:]
-        place += len(own[number])
-        fitted.append(rows)
-        # what the state holds, then each column, as changes of the curve
-        made = torch.cat((state.made[number][:, None], *columns[number : number + 1]), 1)
-        errors = partial(shot.project_errors, prediction=response.prediction)
-        changes = made.mT @ response.pressure if inside else errors(made)
-        residuals.append(response.residual + changes[0])
-        unknown.append(changes[1:])
-    data = torch.cat(fitted, 1).mT
-    weights = torch.cat(unknown, 1).mT
-    return _System(
-        torch.cat((*residuals, coordinates)),
-        torch.cat((data, -eye(len(coordinates)))),
-        torch.nn.functional.pad(weights, (0, 0, 0, len(coordinates))),
-    )
-
-
-def _aim(
-    shots: Sequence[Shot],
-    state: _State,
-    solution: Tensor,
-    size: float,
-    columns: Sequence[Tensor],
-) -> _State:
-    """The state at which a linear solution aims."""
-    place = len(state.gel)
-    nuisances = state.nuisances.clone()
-    for row, shot in zip(nuisances, shots, strict=True):
-        count = len(shot.uncertain)
-        row[shot.uncertain] += solution[place : place + count]
-        place += count
-    weights = size * solution[place:]
-    made = tuple(own @ weights for own in columns)
-    return _State(state.gel + solution[: len(state.gel)], nuisances, weights, made)
+    def _shots_at(self, state: _State) -> list[tuple[Shot, Tensor, Tensor]]:
+        """Shots with their nuisances and pressures; errors of the camera are undone in the data."""
+        rows = list(zip(self.shots, state.nuisances, state.made, strict=True))
+        if state.inside:
+            return rows
+        return [(shot.reread(made), own, zeros(len(shot.moments))) for shot, own, made in rows]
 
 
 def _columns_of_term(term: Callable[[Path], Tensor], responses: Sequence[Response]) -> Columns:
@@ -437,11 +413,12 @@ def _compare_terms(search: _Search, found: _Fit, *, fitted: int = 3) -> dict[str
 
 
 def _missing_pressures(
-    fit: ModelFit, shots: Sequence[Shot], found: _Fit, columns: Columns
+    search: _Search, found: _Fit, columns: Columns
 ) -> tuple[MissingPressure, ...]:
     """The unknown's pressure with its error, given the base model's gel as fitted."""
-    gel = len(fit.mean)
-    away = fit.mean - found.state.gel
+    fitted = search.base.mean
+    gel = len(fitted)
+    away = fitted - found.state.gel
     held = replace(
         found.system,
         residual=found.system.residual - found.system.fitted[:, :gel] @ away,
@@ -450,10 +427,10 @@ def _missing_pressures(
     _, solution, chol = held.solve(found.size)
     place = held.fitted.shape[1]
     root = torch.linalg.solve_triangular(chol.mT, eye(len(solution)), upper=True)[place:]
-    surroundings = shots[0].simulator.conditions.surroundings
+    surroundings = search.shots[0].simulator.conditions.surroundings
     scale = surroundings.far_field_pressure
     missing = []
-    for number, (shot, response) in enumerate(zip(shots, found.responses, strict=True)):
+    for number, (shot, response) in enumerate(zip(search.shots, found.responses, strict=True)):
         path = response.path
         shape = shot.shape_pressure(path.times).mT @ columns(number, shot, response) * found.size
         experiment = shot.batch.curves[0]
