@@ -38,6 +38,7 @@ from imr_torch.goodness.score import PULSES, STATE_LAW
 from imr_torch.material.model_belief import LEVELS
 from imr_torch.random import child, generator
 from imr_torch.types import DrawnControls
+from imr_torch.unknown.infer import LinearSystem, Refit
 
 _SIZES = (1.0, 3.0)  # of what is missing, in usual sizes
 _CAMERA = 0.003  # usual size of a smooth error of the radius, in R*
@@ -89,13 +90,7 @@ def model_error(report: GapReport, *, seed: int = 0) -> ModelError:
             continue
         if name in (OTHER, SLOW_NOISE):
             budgets = [
-                error_budget(
-                    fit,
-                    left.line,
-                    missing_rows(left, inside=name == OTHER),
-                    size=size,
-                    prior=prior,
-                )
+                (fit, math.log(prior), missing_system(left, inside=name == OTHER).solve(size))
                 for fit, left, prior in places
                 for size in _SIZES
             ]
@@ -148,76 +143,31 @@ def _shares(report: GapReport) -> dict[str, float]:
     return shares
 
 
-@dataclass(frozen=True)
-class Budget:
-    """A linear refit about a fit with all that may be missing, at one size.
-
-    Args:
-        fit: the fit.
-        mean: ``k`` tensor, shift of everything fitted.
-        root: ``k x m`` tensor whose product with its transpose is the shift's covariance, for unit
-            noise.
-        misfit: whitened squared residual that is left, the priors' part included.
-        log_evidence: nats, but for the misfit and a constant.
-    """
-
-    fit: ModelFit
-    mean: Float[Tensor, "fitted"]
-    root: Float[Tensor, "fitted columns"]
-    misfit: float
-    log_evidence: float
-
-
-def error_budget(
-    fit: ModelFit,
-    line: Linearisation,
-    missing: Float[Tensor, "unknowns rows"],
-    *,
-    size: float = 1.0,
-    prior: float = 1.0,
-) -> Budget:
-    """The linear refit of everything fitted beside what may be missing.
-
-    Args:
-        fit: the fit.
-        line: local sensitivities there.
-        missing: ``m x N`` tensor, whitened changes by each unknown at one standard deviation.
-        size: factor on all of them.
-        prior: probability of this refit.
-    """
-    fitted = line.fitted.shape[1]
-    columns = torch.cat((line.fitted, size * missing.mT), 1)
-    free = torch.cat((torch.zeros(fitted), torch.ones(len(missing)))).to(columns)
-    chol = torch.linalg.cholesky(columns.mT @ columns + free.diag())
-    seen = (columns.mT @ line.residual)[:, None]
-    half = torch.linalg.solve_triangular(chol, seen, upper=False)[:, 0]
-    root = torch.linalg.solve_triangular(chol.mT, eye(len(half)), upper=True)[:fitted]
-    misfit = float(line.residual.square().sum() - half.square().sum())
-    evidence = math.log(prior) - float(chol.diagonal().log().sum())
-    return Budget(fit, root @ half, root, misfit, evidence)
-
-
 def _with_unknown(
-    budgets: Sequence[Budget], frames: int, count: int, source: torch.Generator
+    budgets: Sequence[tuple[ModelFit, float, Refit]],
+    frames: int,
+    count: int,
+    source: torch.Generator,
 ) -> list[tuple[ModelFit, DrawnControls]]:
-    """Controls drawn from refits in proportion to their evidence, by the fit that they are about.
+    """Controls drawn from refits in proportion to their prior and evidence, by the fit that they are
+    about.
 
     Misfit that even the best of them leaves counts as noise.
     """
-    least = max(1.0, min(one.misfit for one in budgets) / frames)
-    logs = tensor([one.log_evidence - 0.5 * one.misfit / least for one in budgets])
+    least = max(1.0, min(refit.misfit for _, _, refit in budgets) / frames)
+    logs = tensor([p + refit.log_volume - 0.5 * refit.misfit / least for _, p, refit in budgets])
     picked = torch.multinomial(logs.softmax(0), count, replacement=True, generator=source)
     drawn = []
     for number, times in zip(*picked.unique(return_counts=True), strict=True):
-        one = budgets[int(number)]
-        noise = randn(int(times), one.root.shape[1], generator=source)
-        moved = one.mean + math.sqrt(least) * noise @ one.root.mT
-        drawn.append((one.fit, one.fit.mean + moved[:, : len(one.fit.mean)]))
+        fit, _, refit = budgets[int(number)]
+        noise = randn(int(times), len(refit.solution), generator=source)
+        moved = refit.solution + math.sqrt(least) * noise @ refit.root.mT
+        drawn.append((fit, fit.mean + moved[:, : len(fit.mean)]))
     return drawn
 
 
-def missing_rows(left: Adequacy, *, inside: bool = True) -> Float[Tensor, "unknowns rows"]:
-    """Whitened changes ``m x N`` by all that may be missing beside a fit, each of its usual size.
+def missing_system(left: Adequacy, *, inside: bool = True) -> LinearSystem:
+    """Local sensitivities at a fit beside all that may be missing there, each of its usual size.
 
     Args:
         left: the test at the fit.
@@ -232,7 +182,7 @@ def missing_rows(left: Adequacy, *, inside: bool = True) -> Float[Tensor, "unkno
             if own is not None and len(own):
                 length = own.norm(dim=1, keepdim=True).clamp_min(1e-300)
                 rows.append(own * _GENERIC / length / math.sqrt(len(own)))
-    return torch.cat(rows)
+    return LinearSystem(left.line.residual, left.line.fitted, torch.cat(rows).mT)
 
 
 def _camera_rows(line: Linearisation) -> list[Float[Tensor, "unknowns rows"]]:

@@ -25,7 +25,7 @@ from imr_torch.errors import InputDataError
 from imr_torch.float64 import eye, tensor, zeros
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
-from imr_torch.types import Controls, Values
+from imr_torch.types import Controls
 from imr_torch.unknown.kinds import (
     Columns,
     camera_errors,
@@ -129,27 +129,66 @@ class _State:
 
 
 @dataclass(frozen=True)
-class _System:
-    """Whitened rows of all shots and priors about a state: ``residual = fitted d + unknown w +
-    noise``, with ``w`` whole and ``d`` a change.
+class Refit:
+    """A linear refit beside what may be missing.
+
+    Args:
+        solution: change of what is fitted, then the unknown's weights in standard deviations.
+        chol: Cholesky factor of their precision.
+        misfit: whitened squared residual that is left, the priors' part included.
+
+    >>> import torch
+    >>> from imr_torch.unknown.infer import LinearSystem
+    >>> one = torch.ones(1, 1, dtype=torch.float64)
+    >>> refit = LinearSystem(one[0], 0.0 * one[:, :0], one).solve(1.0)  # as much noise as unknown
+    >>> round(float(refit.solution), 3), round(float(refit.root.square()), 3)
+    (0.5, 0.5)
+    """
+
+    solution: Float[Tensor, "columns"]
+    chol: Float[Tensor, "columns columns"]
+    misfit: float
+
+    @property
+    def log_volume(self) -> float:
+        """Log evidence, nats, but for the misfit and a constant that all unknowns share."""
+        return -float(self.chol.diagonal().log().sum())
+
+    @property
+    def log_evidence(self) -> float:
+        """Nats, without that constant."""
+        return self.log_volume - 0.5 * self.misfit
+
+    @cached_property
+    def root(self) -> Float[Tensor, "columns columns"]:
+        """A square root of the covariance of the solution."""
+        return torch.linalg.solve_triangular(self.chol.mT, eye(len(self.solution)), upper=True)
+
+
+@dataclass(frozen=True)
+class LinearSystem:
+    """Whitened rows of all data and priors about a state: ``residual = fitted d + unknown w +
+    noise``, with ``d`` a change, whose prior is among the rows, and ``w`` whole.
+
+    Args:
+        residual: of data and priors.
+        fitted: changes by everything that is fitted.
+        unknown: changes by what may be missing, at its usual size.
     """
 
     residual: Float[Tensor, "rows"]
     fitted: Float[Tensor, "rows coordinates"]
     unknown: Float[Tensor, "rows weights"]
 
-    def solve(self, size: float) -> tuple[Values, Tensor, Tensor]:
-        """Log evidence at a size, nats without the constants that all unknowns share; the solution,
-        its weights at that size; the Cholesky factor of its precision.
-        """
+    def solve(self, size: float) -> Refit:
+        """The refit with an unknown of so many usual sizes."""
         columns = torch.cat((self.fitted, size * self.unknown), 1)
         free = zeros(columns.shape[1])
         free[self.fitted.shape[1] :] = 1.0
         chol = torch.linalg.cholesky(columns.mT @ columns + free.diag())
         seen = columns.mT @ self.residual
         solution = torch.cholesky_solve(seen[:, None], chol)[:, 0]
-        misfit = self.residual.square().sum() - seen @ solution
-        return -chol.diagonal().log().sum() - 0.5 * misfit, solution, chol
+        return Refit(solution, chol, float(self.residual.square().sum() - seen @ solution))
 
 
 @dataclass(frozen=True)
@@ -158,7 +197,7 @@ class _Fit:
 
     state: _State
     responses: tuple[Response, ...]
-    system: _System
+    system: LinearSystem
     size: float
     log_evidence: float
     aim: _State
@@ -222,14 +261,14 @@ def infer_unknown(
     for name in ("material", "contents", "sample"):
         fits[name] = search.fit(kinds[name], lead=fits["drive"])
     fits[CAMERA] = search.fit(camera_errors, inside=False)
-    base, *_ = search.assemble(search.still, search.responses, ()).solve(1.0)
+    base = search.assemble(search.still, search.responses, ()).solve(1.0)
     logs = {name: found.log_evidence for name, found in fits.items()}
     probabilities = tensor(list(logs.values())).softmax(0).tolist()
     best = max(logs, key=logs.__getitem__)
     outside = best == CAMERA
     return Unknown(
         dict(zip(logs, probabilities, strict=True)),
-        logs[best] - float(base),
+        logs[best] - base.log_evidence,
         {} if outside else _compare_terms(search, fits[best]),
         () if outside else _missing_pressures(search, fits[best], kinds[best]),
     )
@@ -313,10 +352,10 @@ class _Search:
         own = tuple(columns(number, *pair) for number, pair in enumerate(pairs))
         system = self.assemble(state, responses, own)
         solved = {size: system.solve(size) for size in self.sizes}
-        logs = torch.stack([log for log, _, _ in solved.values()])
+        logs = tensor([refit.log_evidence for refit in solved.values()])
         size = self.sizes[int(logs.argmax())]
         evidence = float(logs.logsumexp(0)) - math.log(len(logs))
-        aim = self._aim(state, solved[size][1], size, own)
+        aim = self._aim(state, solved[size].solution, size, own)
         return _Fit(state, responses, system, size, evidence, aim)
 
     def respond(self, state: _State) -> tuple[Response, ...]:
@@ -325,7 +364,7 @@ class _Search:
 
     def assemble(
         self, state: _State, responses: Sequence[Response], columns: Sequence[Tensor]
-    ) -> _System:
+    ) -> LinearSystem:
         """Rows of all shots, and of the priors of gel and nuisances; without columns nothing is
         unknown.
         """
@@ -344,7 +383,7 @@ class _Search:
         by_nuisance = torch.block_diag(*(response.fitted[gel:] for response in responses))
         data = torch.cat((by_gel, by_nuisance)).mT
         weights = torch.cat(unknown, 1).mT
-        return _System(
+        return LinearSystem(
             torch.cat((*residuals, coordinates)),
             torch.cat((data, -eye(len(coordinates)))),
             torch.nn.functional.pad(weights, (0, 0, 0, len(coordinates))),
@@ -424,9 +463,9 @@ def _missing_pressures(
         residual=found.system.residual - found.system.fitted[:, :gel] @ away,
         fitted=found.system.fitted[:, gel:],
     )
-    _, solution, chol = held.solve(found.size)
+    refit = held.solve(found.size)
     place = held.fitted.shape[1]
-    root = torch.linalg.solve_triangular(chol.mT, eye(len(solution)), upper=True)[place:]
+    root = refit.root[place:]
     surroundings = search.shots[0].simulator.conditions.surroundings
     scale = surroundings.far_field_pressure
     missing = []
@@ -441,7 +480,7 @@ def _missing_pressures(
                 path.times * seconds,
                 path.radius / path.rest_radius,
                 path.rate * path.size / seconds,
-                scale * shape @ solution[place:],
+                scale * shape @ refit.solution[place:],
                 scale * (shape @ root).norm(dim=1),
                 scale * path.own_stress,
             )
