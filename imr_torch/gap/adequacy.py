@@ -14,15 +14,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.float64 import full
 from imr_torch.goodness.linear import Linearisation, linearise_fit, predict_changed
 from imr_torch.goodness.score import (
+    Block,
     GapTest,
     effect_directions,
     gap_test,
     generic_rows,
+    log_survival,
     make_block,
     promising_starts,
 )
@@ -133,3 +137,19 @@ def refitted_directions(
         rows[under_way], left[under_way] = beside[smaller], now[smaller]
     parts = rows.split([len(effect.starts) for effect in effects])
     return {effect.name: part for effect, part in zip(effects, parts, strict=True)}
+
+
+def log_p_values(
+    blocks: Sequence[Block], rows: Float[Tensor, "*batch rows"]
+) -> list[Float[Tensor, "*batch"]]:
+    """Log p-values of residuals by each block that has a direction left.
+
+    Args:
+        blocks: what is tested.
+        rows: ``... x N`` tensor, residuals beside the fitted directions.
+    """
+    return [
+        log_survival((rows @ block.directions).square().sum(-1), block.directions.shape[1])
+        for block in blocks
+        if block.directions.shape[1]
+    ]

@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap.diagnose import GapReport
-from imr_torch.gap.hidden import Hidden, hidden_effects
 from imr_torch.gap.identity_design import NextDesign, identity_design, plan_of
 from imr_torch.gap.locate import Onset, onset
-from imr_torch.gap.model_error import ModelError, model_error
+from imr_torch.gap.model_error import Hidden, ModelError, hidden_effects, model_error
 from imr_torch.gap.shrinkage import Shrinkage, shrinkage
 from imr_torch.gap.verdict import OTHER
 from imr_torch.observe import Experiment

@@ -11,11 +11,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.float64 import randn, zeros
-from imr_torch.gap.adequacy import Adequacy
+from imr_torch.gap.adequacy import Adequacy, log_p_values
 from imr_torch.goodness.linear import Linearisation
 from imr_torch.goodness.phases import phase_clock, phase_name
 from imr_torch.goodness.score import BOOTSTRAP, PULSES, SHAPE, log_survival, make_block
@@ -91,12 +91,12 @@ def onset(left: Adequacy, *, seed: SeedLike) -> Onset:
         ends.append(end)
         # the last frame, in the median over experiments
         times.append(float(torch.where(frames, batch.times, 0.0).amax(1).median()))
-        found.append(_log_p(restrict(line, frames), frames, tests, drawn))
+        found.append(_log_p(line, frames, tests, drawn))
     p_values = _calibrate(*zip(*found, strict=True)).tolist()
     first = next((i for i, p in enumerate(p_values) if p < _LEVEL), None)
-    if first is None:
-        return Onset(None, "none", tuple(times), tuple(p_values), _LEVEL)
-    return Onset(times[first], phase_name(ends[first]), tuple(times), tuple(p_values), _LEVEL)
+    t = None if first is None else times[first]
+    phase = "none" if first is None else phase_name(ends[first])
+    return Onset(t, phase, tuple(times), tuple(p_values), _LEVEL)
 
 
 def restrict(line: Linearisation, frames: FrameMask) -> Linearisation:
@@ -107,18 +107,17 @@ def restrict(line: Linearisation, frames: FrameMask) -> Linearisation:
         frames: ``E x T`` boolean tensor, frames that stay. With correlated noise a frame stands for
             what it adds to the frames before it.
     """
-    keep = _kept_rows(line, frames).to(line.residual)
+    keep = _kept_rows(line, frames)
     return replace(line, residual=line.residual * keep, fitted=line.fitted * keep[:, None])
 
 
-def _kept_rows(line: Linearisation, frames: FrameMask) -> Bool[Tensor, "rows"]:
-    """Which whitened rows (``N`` boolean tensor) belong to frames; those of priors always do."""
-    rows = (frames & line.batch.mask).flatten()
-    return torch.nn.functional.pad(rows, (0, line.residual.shape[0] - rows.shape[0]), value=True)
+def _kept_rows(line: Linearisation, frames: FrameMask) -> Float[Tensor, "rows"]:
+    """1 for whitened rows that belong to frames, 0 for others; those of priors always do."""
+    return line.pad_rows((frames & line.batch.mask).flatten().double(), 1.0)
 
 
 def _log_p(
-    part: Linearisation,
+    line: Linearisation,
     frames: FrameMask,
     directions: Mapping[str, Directions],
     drawn: Float[Tensor, "draws rows"],
@@ -127,8 +126,8 @@ def _log_p(
     (chi-square).
 
     Args:
-        part: a linearisation restricted to ``frames``.
-        frames: ``E x T`` boolean tensor.
+        line: local sensitivities at a fit.
+        frames: ``E x T`` boolean tensor, frames that stay.
         directions: name -> whitened rows ``k x N``, tested together.
         drawn: ``B x N`` tensor, residuals under the fitted model.
 
@@ -136,17 +135,18 @@ def _log_p(
         ``n`` tensor of the data's log p-values and ``n x B`` tensor of those drawn; tests without a
         direction are left out.
     """
-    keep = _kept_rows(part, frames).to(part.residual)
-    blocks = [make_block(name, rows * keep, part).directions for name, rows in directions.items()]
+    keep = _kept_rows(line, frames)
+    part = restrict(line, frames)
+    blocks = [make_block(name, rows * keep, part) for name, rows in directions.items()]
     rows = part.project_out(torch.cat((part.residual[None], drawn * keep)))
+    logs = log_p_values(blocks, rows)
     freedom = int(keep.sum()) - part.fitted.shape[1]
-    tests = [((rows @ u).square().sum(1), u.shape[1]) for u in blocks if u.shape[1]]
     if freedom > 0:
-        tests.append((rows.square().sum(1), freedom))
-    if not tests:
+        logs.append(log_survival(rows.square().sum(1), freedom))
+    if not logs:
         return zeros(0), zeros(0, len(drawn))
-    logs = torch.stack([log_survival(statistic, k) for statistic, k in tests])
-    return logs[:, 0], logs[:, 1:]
+    stacked = torch.stack(logs)
+    return stacked[:, 0], stacked[:, 1:]
 
 
 def _calibrate(

@@ -20,7 +20,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.float64 import full, ones, randn, tensor, zeros
-from imr_torch.gap.adequacy import Adequacy
+from imr_torch.gap.adequacy import Adequacy, log_p_values
 from imr_torch.goodness.linear import Linearisation
 from imr_torch.goodness.score import (
     ADEQUATE,
@@ -181,9 +181,7 @@ def _log_p_values(
     size = signals.shape[-1]
     noise = randn(len(signals), count, size + beyond, generator=source)
     rows = line.project_out(signals + noise[..., :size])
-    logs = [
-        log_survival((rows @ b.directions).square().sum(-1), b.directions.shape[1]) for b in blocks
-    ]
+    logs = log_p_values(blocks, rows)
     if line.batch.noise_laws is None:
         total = rows.square().sum(-1) + noise[..., size:].square().sum(-1)
         logs.append(log_survival(total, size - 1 + beyond))
