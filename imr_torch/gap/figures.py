@@ -26,8 +26,8 @@ from imr_torch.drawing import (
     name_figure,
     new_axes,
 )
+from imr_torch.files import Document
 from imr_torch.gap.hypotheses import in_words
-from imr_torch.gap.text import Document
 from imr_torch.goodness.score import LEVEL
 from imr_torch.labels import file_name, plain
 from imr_torch.material import PARAMETERS
