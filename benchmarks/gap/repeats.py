@@ -33,7 +33,7 @@ from imr_torch.gap import GapReport, diagnose
 from imr_torch.gap.held_out import judge_designs
 from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses
 from imr_torch.gap.model_error import model_error
-from imr_torch.gap.shrinkage import beside_nuisances, shrinkage
+from imr_torch.gap.shrinkage import shrinkage
 from imr_torch.material import LIBRARY
 from imr_torch.observe import ExperimentBatch
 from imr_torch.observe.sets import load_set
@@ -107,7 +107,7 @@ def measure_shrinkage(
         return {}
     pairs = judge_designs(told, simulator, data.unseen_without_noise(), seed=seed)
     left = [
-        sum(float((beside_nuisances(p) @ held.residual).square().sum()) for p, held in rows)
+        sum(float((p.projector @ held.residual).square().sum()) for p, held in rows)
         for rows in ([(p, p.base) for p in pairs], [(p, p.effect) for p in pairs])
     ]
     return {

@@ -11,8 +11,9 @@ unknown effect of this size has been taken for the best known one (:mod:`imr_tor
 """
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import accumulate
 
 from imr_torch.assimilate import ModelFit, SearchOptions
@@ -230,7 +231,7 @@ def attribute(
             options=replace(_FIT_GELS, rival=lowest),
         )
     evidence = {name: laplace_evidence(fit) for name, fit in fits.items()}
-    return _Round(inquiry, before, held, masked, fits, evidence).conclude(seed)
+    return _conclude(inquiry, held, before, fits, evidence, masked=masked, seed=seed)
 
 
 def reconsider(
@@ -279,121 +280,121 @@ def reconsider(
         return found
     fits = found.fits | {alone.name: fit}
     logs = found.log_evidence | {alone.name: evidence}
-    return _Round(inquiry, before, found.held, 1.0, fits, logs).conclude(seed)
+    return _conclude(inquiry, found.held, before, fits, logs, masked=1.0, seed=seed)
 
 
-@dataclass
-class _Round:
-    """One round of attribution: what is held, the test at the fit of that, and the fits and their
-    evidence, which are brought up to date.
-    """
+def _conclude(
+    inquiry: Inquiry,
+    held: Hypothesis,
+    before: Adequacy,
+    fits: dict[str, ModelFit],
+    evidence: dict[str, float],
+    *,
+    masked: float,
+    seed: int,
+) -> Attribution:
+    """What the evidence of the fits, which are brought up to date, and the winner's adequacy say."""
+    hypotheses = {h.name: h for h in (held, *inquiry.longer(held).values())}
+    batch = held.seen(inquiry.batch)
+    left_out: list[str] = []
+    find_winner = partial(_find_winner, inquiry, held, hypotheses, fits, evidence, left_out)
+    leader = find_winner((), seed)
+    alike = {n: x for n, x in evidence.items() if hypotheses[n].gels_differ is held.gels_differ}
+    own = child(seed, "evidence")
+    checked = check_evidence(fits, alike, batch, inquiry.simulator, seed=own)
+    if checked and all(found.reliable for found in checked.values()):
+        evidence |= {name: found.sampled for name, found in checked.items()}
+        leader = find_winner(checked, child(seed, "ahead"))
+    winner = hypotheses[leader]
+    left = inquiry.test(fits[leader], winner, seed=child(seed, "adequacy"))
+    null = fits[held.name]
+    size = math.sqrt(max(2.0 * (null.cost - fits[leader].cost), 0.0))
+    like = likeness(size, before, seed=seed)
+    laws = batch.noise_laws
+    smooth = None  # where the noise is known, slow noise included
+    if laws is not None and laws.of_residuals:
+        smooth = smooth_deviations(null.linearise(batch, inquiry.simulator))
+    factor = like.bayes_factor(left.test.p_value)
+    posterior = _average_probabilities(
+        inquiry, held, fits, evidence, bayes_factor=factor, masked=masked, smooth=smooth
+    )
+    return Attribution(
+        held,
+        hypotheses,
+        fits,
+        evidence,
+        posterior,
+        winner,
+        left,
+        like,
+        checked=checked,
+        left_out=tuple(left_out),
+    )
 
-    inquiry: Inquiry
-    before: Adequacy
-    held: Hypothesis
-    masked: float
-    fits: dict[str, ModelFit]
-    evidence: dict[str, float]
-    left_out: tuple[str, ...] = ()
 
-    def __post_init__(self) -> None:
-        self.longer = self.inquiry.longer(self.held)
-        self.hypotheses = {h.name: h for h in (self.held, *self.longer.values())}
-        self.batch = self.held.seen(self.inquiry.batch)
-
-    def conclude(self, seed: int) -> Attribution:
-        """What the evidence of the fits and the winner's adequacy say."""
-        simulator = self.inquiry.simulator
-        self._find_winner((), seed)
-        alike = {
-            name: value
-            for name, value in self.evidence.items()
-            if self.hypotheses[name].gels_differ is self.held.gels_differ
-        }
-        own = child(seed, "evidence")
-        checked = check_evidence(self.fits, alike, self.batch, simulator, seed=own)
-        if checked and all(found.reliable for found in checked.values()):
-            self.evidence |= {name: found.sampled for name, found in checked.items()}
-            self._find_winner(checked, child(seed, "ahead"))
-        winner = self.hypotheses[self._leader()]
-        fit = self.fits[winner.name]
-        null = self.fits[self.held.name]
-        left = self.inquiry.test(fit, winner, seed=child(seed, "adequacy"))
-        size = math.sqrt(max(2.0 * (null.cost - fit.cost), 0.0))
-        like = likeness(size, self.before, seed=seed)
-        laws = self.batch.noise_laws
-        smooth = None  # where the noise is known, slow noise included
-        if laws is not None and laws.of_residuals:
-            smooth = smooth_deviations(null.linearise(self.batch, simulator))
-        return Attribution(
-            self.held,
-            self.hypotheses,
-            self.fits,
-            self.evidence,
-            self._posterior(like.bayes_factor(left.test.p_value), smooth),
-            winner,
-            left,
-            like,
-            checked=checked,
-            left_out=self.left_out,
+def _average_probabilities(
+    inquiry: Inquiry,
+    held: Hypothesis,
+    fits: Mapping[str, ModelFit],
+    evidence: Mapping[str, float],
+    *,
+    smooth: SmoothDeviations | None,
+    **about: float,
+) -> dict[str, float]:
+    """Probabilities of all causes, averaged over what is known of the scale of the noise."""
+    kinds = {effect.name: effect.family for effect in inquiry.effects}
+    families = {h.name: kinds.get(part, part) for part, h in inquiry.longer(held).items()}
+    laws = inquiry.batch.noise_laws
+    log_scales = [0.0] if laws is None else laws.log_scales(_SCALES_OF_NOISE).tolist()
+    squares = {n: min(1e300, inquiry.batch.square(fit.prediction)) for n, fit in fits.items()}
+    each = []
+    for log_scale in log_scales:
+        # nats that a larger noise gives back of each squared residual
+        share = 0.5 * (1.0 - math.exp(-2.0 * log_scale))
+        scaled = {name: value + share * squares[name] for name, value in evidence.items()}
+        base = evidence[held.name] + share * min(squares.values())
+        deviations = smooth and (base + smooth.own, base + smooth.common)
+        beside = bool(held.parts)
+        each.append(
+            probabilities(scaled, families, held.name, beside=beside, smooth=deviations, **about)
         )
+    return {name: sum(one[name] for one in each) / len(each) for name in each[0]}
 
-    def _leader(self) -> str:
-        longer = [name for name in self.evidence if name != self.held.name]
-        return max(longer, key=lambda name: self.evidence[name])
 
-    def _find_winner(self, sampled: Collection[str], seed: int) -> None:
-        """Continue the fit of the leader until the leader's has converged.
+def _find_winner(
+    inquiry: Inquiry,
+    held: Hypothesis,
+    hypotheses: Mapping[str, Hypothesis],
+    fits: dict[str, ModelFit],
+    evidence: dict[str, float],
+    left_out: list[str],
+    sampled: Collection[str],
+    seed: int,
+) -> str:
+    """Continue the fit of the leader until the leader's has converged.
 
-        One that does not converge loses its evidence and is left out; evidence that was ``sampled``
-        is kept.
-        """
-        continued = set[str]()
-        while not self.fits[leader := self._leader()].certificate.converged:
-            if leader not in continued:
-                continued.add(leader)
-                self.fits[leader] = finish(
-                    self.fits[leader],
-                    self.hypotheses[leader].seen(self.inquiry.batch),
-                    self.inquiry.simulator,
-                    seed=child(seed, "finish"),
-                    progress=self.inquiry.progress,
-                )
-                if leader not in sampled:
-                    self.evidence[leader] = laplace_evidence(self.fits[leader])
-            elif (
-                self.fits[leader].certificate.usable
-                or len(self.evidence) == 2
-                or len(self.left_out) >= _MOST_LEFT_OUT
-            ):
-                return
-            else:
-                self.left_out += (leader,)
-                del self.evidence[leader]
-
-    def _posterior(self, bayes_factor: float, smooth: SmoothDeviations | None) -> dict[str, float]:
-        """Probabilities of all causes, averaged over what is known of the scale of the noise."""
-        kinds = {effect.name: effect.family for effect in self.inquiry.effects}
-        families = {h.name: kinds.get(part, part) for part, h in self.longer.items()}
-        laws = self.batch.noise_laws
-        log_scales = [0.0] if laws is None else laws.log_scales(_SCALES_OF_NOISE).tolist()
-        data = self.inquiry.batch
-        squares = {n: min(1e300, data.square(fit.prediction)) for n, fit in self.fits.items()}
-        each = []
-        for log_scale in log_scales:
-            # nats that a larger noise gives back of each squared residual
-            share = 0.5 * (1.0 - math.exp(-2.0 * log_scale))
-            scaled = {name: value + share * squares[name] for name, value in self.evidence.items()}
-            base = self.evidence[self.held.name] + share * min(squares.values())
-            each.append(
-                probabilities(
-                    scaled,
-                    families,
-                    self.held.name,
-                    bayes_factor,
-                    beside=bool(self.held.parts),
-                    masked=self.masked,
-                    smooth=smooth and (base + smooth.own, base + smooth.common),
-                )
+    One that does not converge loses its evidence and is left out; evidence that was ``sampled`` is
+    kept.
+    """
+    continued = set[str]()
+    while True:
+        leader = max((n for n in evidence if n != held.name), key=evidence.__getitem__)
+        certificate = fits[leader].certificate
+        if certificate.converged:
+            return leader
+        if leader not in continued:
+            continued.add(leader)
+            fits[leader] = finish(
+                fits[leader],
+                hypotheses[leader].seen(inquiry.batch),
+                inquiry.simulator,
+                seed=child(seed, "finish"),
+                progress=inquiry.progress,
             )
-        return {name: sum(one[name] for one in each) / len(each) for name in each[0]}
+            if leader not in sampled:
+                evidence[leader] = laplace_evidence(fits[leader])
+        elif certificate.usable or len(evidence) == 2 or len(left_out) >= _MOST_LEFT_OUT:
+            return leader
+        else:
+            left_out.append(leader)
+            del evidence[leader]

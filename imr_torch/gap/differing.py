@@ -10,7 +10,8 @@ from functools import partial
 
 import torch
 
-from imr_torch.assimilate import ModelFit, SearchOptions, assimilate
+from imr_torch.assimilate import ModelFit, Point, Posterior, SearchOptions
+from imr_torch.assimilate.map_fit import assimilate_model
 from imr_torch.float64 import randn
 from imr_torch.gap.hypotheses import (
     Hypothesis,
@@ -19,7 +20,6 @@ from imr_torch.gap.hypotheses import (
     lower,
     scatters,
 )
-from imr_torch.material.belief import even_belief
 from imr_torch.observe import NUISANCES, ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
@@ -44,19 +44,14 @@ def fit_alone(
     for e, experiment in enumerate(batch.experiments):
         seed_here = child(seed, "alone", experiment.label)
         beside = _APART * randn(2, len(fit.mean), generator=generator(seed_here))
-        starts = [torch.cat((fit.mean[None], fit.mean + beside))]
+        starts = torch.cat((fit.mean[None], fit.mean + beside))
         one = replace(batch, experiments=(experiment,), between={})
-        nuisances = [fit.nuisances[e : e + 1, : len(NUISANCES)]]
-        alone = assimilate(
-            even_belief((fit.prior,)),
-            one,
-            simulator,
+        alone = assimilate_model(
+            Posterior(fit.prior, one, simulator),
+            Point(starts, fit.nuisances[e : e + 1, : len(NUISANCES)]),
             seed=seed_here,
             options=_EVERY_START,
-            starts=starts,
-            nuisances=nuisances,
-            warn=False,
-        ).fits[0]
+        )
         if not alone.certificate.converged:
             alone = finish(alone, one, simulator, seed=child(seed_here, "finish"))
         found.append(alone)

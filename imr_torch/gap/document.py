@@ -6,10 +6,8 @@ with sentences; the page shows the same list.
 """
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from statistics import median
-from typing import Any
 
 import torch
 
@@ -339,7 +337,7 @@ def shown(parameter: str, value: float) -> str:
     return PARAMETERS[parameter].interval(value, value, value).split(" (")[0]
 
 
-def list_names() -> Mapping[str, Any]:
+def list_names() -> Document:
     """What templates of a diagnosis may use beside the document: words for its numbers."""
     return {
         "parameters": PARAMETERS,
@@ -401,7 +399,7 @@ def sections(document: Document) -> list[Section]:
     ]
 
 
-def hidden_row(row: Mapping[str, Any]) -> tuple[str, str, str]:
+def hidden_row(row: Document) -> tuple[str, str, str]:
     """Title of an effect, the size that would have been found with 90 %, and what that size (where
     there is none, its usual size), unseen, would move each parameter by.
 

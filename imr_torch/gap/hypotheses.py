@@ -12,6 +12,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -313,13 +314,11 @@ def _descend(
             continue
         chosen = tuple(fits[i] for i in places)
         kept = even_belief(fit.prior for fit in chosen)
-        if again:
-            near_them = Assimilation(kept, batch, chosen)
-            ended = search(kept, batch, simulator, options=own, near=near_them).fits
-        else:
+        begin: dict[str, Any] = {"near": Assimilation(kept, batch, chosen)}
+        if not again:
             gels = [fit.mean[None] for fit in chosen]
-            moved = [fit.nuisances for fit in chosen]
-            ended = search(kept, batch, simulator, options=own, starts=gels, nuisances=moved).fits
+            begin = {"starts": gels, "nuisances": [fit.nuisances for fit in chosen]}
+        ended = search(kept, batch, simulator, options=own, **begin).fits
         for i, fit in zip(places, ended, strict=True):
             agreement = found[i].certificate.agreement
             if again:

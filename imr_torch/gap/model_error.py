@@ -73,11 +73,11 @@ class ModelError:
             fit, by an error of the size of the residual beyond noise.
 
     >>> from imr_torch.gap.model_error import ModelError
-    >>> ModelError({"G": (6.9e3, 8.3e3, 10.4e3)}, 4.0).intervals["G"][2]
+    >>> ModelError({"G": [6.9e3, 8.3e3, 10.4e3]}, 4.0).intervals["G"][2]
     10400.0
     """
 
-    intervals: dict[str, tuple[float, float, float]]
+    intervals: dict[str, list[float]]
     bound: float
 
 
@@ -122,13 +122,8 @@ def model_error(report: GapReport, *, seed: int = 0) -> ModelError:
     columns = torch.cat(rows).quantile(levels, dim=0).mT.tolist()
     line = report.left.line
     square = float(line.residual[: line.batch.mask.numel()].square().sum())
-    return ModelError(
-        {
-            name: (low, middle, high)
-            for name, (low, middle, high) in zip(names, columns, strict=True)
-        },
-        math.sqrt(max(square - frames, 0.0)),
-    )
+    intervals = dict(zip(names, columns, strict=True))
+    return ModelError(intervals, math.sqrt(max(square - frames, 0.0)))
 
 
 def _judged(report: GapReport) -> Attribution | None:

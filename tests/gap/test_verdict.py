@@ -62,9 +62,9 @@ def named(posterior: dict[str, float], winner: str, **about: float):
 
 def selected(p_gap: float):
     left = SimpleNamespace(test=SimpleNamespace(p_value=p_gap, bias_radius=0.02), starts={})
-    batch = SimpleNamespace(experiments=(0,), noise_laws=None)
+    batch = SimpleNamespace(noise_laws=None)
     inquiry = Inquiry(BASE, EFFECTS, batch, None)
-    return selection.select_causes(inquiry, None, left, 2, alone=(), seed=0, progress=None)
+    return selection.select_causes(inquiry, None, left, seed=0)
 
 
 def test_that_even_evidence_gives_the_prior_over_families_back() -> None:
