@@ -31,7 +31,7 @@ from benchmarks.records import Figure, Line, read_record, run_missing_jobs, writ
 from imr_torch.errors import ConvergenceWarning
 from imr_torch.gap import GapReport, diagnose
 from imr_torch.gap.held_out import judge_designs
-from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses
+from imr_torch.gap.hypotheses import Hypothesis, Inquiry, fit_hypotheses
 from imr_torch.gap.model_error import model_error
 from imr_torch.gap.shrinkage import shrinkage
 from imr_torch.material import LIBRARY
@@ -99,7 +99,8 @@ def measure_shrinkage(
     fit = report.steps[0].fits[truth]
     if not fit.certificate.converged:
         loose = child(seed, "loose")
-        fit = fit_hypotheses([right], report.null, report.batch, simulator, seed=loose)[truth]
+        inquiry = Inquiry(report.base, report.batch, simulator)
+        fit = fit_hypotheses(inquiry, [right], report.null, seed=loose)[truth]
     told = replace(report, selected=right, selected_fit=fit)
     unseen = ExperimentBatch(data.unseen, report.batch.noise)
     judged = shrinkage(told, simulator, unseen, seed=child(seed, "shrinkage"))

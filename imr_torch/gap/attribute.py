@@ -11,18 +11,19 @@ unknown effect of this size has been taken for the best known one (:mod:`imr_tor
 """
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import accumulate
 
 from imr_torch.assimilate import ModelFit, SearchOptions
 from imr_torch.assimilate.slow_noise import SmoothDeviations, smooth_deviations
-from imr_torch.gap.adequacy import Adequacy, adequacy_test
+from imr_torch.gap.adequacy import Adequacy
 from imr_torch.gap.differing import fit_differing
 from imr_torch.gap.hypotheses import (
     GEL_SCATTER,
     Hypothesis,
+    Inquiry,
     finish,
     fit_hypotheses,
     laplace_evidence,
@@ -31,11 +32,8 @@ from imr_torch.gap.hypotheses import (
 from imr_torch.gap.lookalike import Likeness, likeness
 from imr_torch.gap.verdict import CheckedEvidence, check_evidence, probabilities
 from imr_torch.goodness.score import GapTest
-from imr_torch.material import Effect, ModelBelief
-from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
-from imr_torch.simulate import Simulator
-from imr_torch.types import Progress, ProgressLine
+from imr_torch.types import ProgressLine
 
 _SCALES_OF_NOISE = 9  # over which probabilities are averaged where the noise was inferred
 _MOST_LEFT_OUT = (
@@ -145,46 +143,6 @@ class Attribution:
         )
 
 
-@dataclass(frozen=True)
-class Inquiry:
-    """The attribution problem: a base model, candidate effects and data.
-
-    Args:
-        base: the base model's prior.
-        effects: the library to choose from.
-        batch: the data.
-        simulator: makes the bubbles.
-        alone: the base model's fit of each experiment by itself, from which gels that differ start;
-            without them they are not among the causes.
-        most: parts that are selected at most.
-        progress: called with one line per step.
-    """
-
-    base: ModelBelief
-    effects: tuple[Effect, ...]
-    batch: ExperimentBatch
-    simulator: Simulator
-    alone: Sequence[ModelFit] = ()
-    most: int = 2
-    progress: Progress = None
-
-    def longer(self, held: Hypothesis) -> dict[str, Hypothesis]:
-        """What a hypothesis can be made by one part more -> that hypothesis.
-
-        An effect that shares no parameter with those held, or gels that differ, where shots can
-        show that.
-        """
-        taken = {name for effect in held.effects for name in effect.names}
-        found = {e.name: held.beside(e) for e in self.effects if not taken & set(e.names)}
-        if self.alone and not held.gels_differ:
-            found[GEL_SCATTER] = held.differing()
-        return found
-
-    def test(self, fit: ModelFit, held: Hypothesis, *, seed: int) -> Adequacy:
-        """The gap test at the fit of a hypothesis."""
-        return adequacy_test(fit, self.effects, held.seen(self.batch), self.simulator, seed=seed)
-
-
 def attribute(
     inquiry: Inquiry,
     null: ModelFit,
@@ -210,23 +168,14 @@ def attribute(
         inquiry.progress(ProgressLine(f"attribution: {len(longer)} hypotheses", stage="effects"))
     differing = longer.pop(GEL_SCATTER, None)
     fits = {held.name: null} | fit_hypotheses(
-        list(longer.values()),
-        null,
-        inquiry.batch,
-        inquiry.simulator,
-        seed=seed,
-        starts=before.starts,
-        options=_FIT,
-        progress=inquiry.progress,
+        inquiry, list(longer.values()), null, seed=seed, starts=before.starts, options=_FIT
     )
     if differing is not None:
         lowest = min(fit.cost for fit in fits.values())
         fits[differing.name] = fit_differing(
+            inquiry,
             differing,
             null,
-            inquiry.alone,
-            inquiry.batch,
-            inquiry.simulator,
             seed=child(seed, "differing"),
             options=replace(_FIT_GELS, rival=lowest),
         )
@@ -267,10 +216,9 @@ def reconsider(
     values = dict(zip(beside.prior.names, beside.prior.physical(beside.mean).tolist(), strict=True))
     amplitude, *shape = (values[name] for name in alone.effects[-1].names)
     fit = fit_hypotheses(
+        inquiry,
         [alone],
         beside,
-        inquiry.batch,
-        inquiry.simulator,
         seed=seed,
         starts={part: [(amplitude, *shape), (_LESS * amplitude, *shape)]},
         options=replace(_FIT, rival=found.winner_fit.cost),
@@ -384,13 +332,8 @@ def _find_winner(
             return leader
         if leader not in continued:
             continued.add(leader)
-            fits[leader] = finish(
-                fits[leader],
-                hypotheses[leader].seen(inquiry.batch),
-                inquiry.simulator,
-                seed=child(seed, "finish"),
-                progress=inquiry.progress,
-            )
+            own = child(seed, "finish")
+            fits[leader] = finish(inquiry, fits[leader], hypotheses[leader], seed=own)
             if leader not in sampled:
                 evidence[leader] = laplace_evidence(fits[leader])
         elif certificate.usable or len(evidence) == 2 or len(left_out) >= _MOST_LEFT_OUT:

@@ -14,9 +14,8 @@ from imr_torch.assimilate import FIRST_KINK, ModelFit, Posterior
 from imr_torch.assimilate.spikes import frames_left_out, without_spoilt_frames
 from imr_torch.errors import InputDataError
 from imr_torch.gap.adequacy import Adequacy
-from imr_torch.gap.attribute import Inquiry
 from imr_torch.gap.differing import fit_alone
-from imr_torch.gap.hypotheses import Hypothesis, fit_null, may_differ
+from imr_torch.gap.hypotheses import Hypothesis, Inquiry, fit_null, may_differ
 from imr_torch.gap.selection import Finding, WithinMisfit, fit_with_noise, select_causes
 from imr_torch.goodness.score import GapTest
 from imr_torch.labels import p_value
@@ -147,12 +146,12 @@ def diagnose(
     if estimate_noise:
         law = replace(law, kink=FIRST_KINK)
     batch = ExperimentBatch(tuple(experiments), law)
-    null = fit_null(base, batch, simulator, seed=child(seed, "null"), progress=progress)
+    inquiry = Inquiry(base, batch, simulator, effects, most=most, progress=progress)
     nothing = Hypothesis(base)
+    null = fit_null(inquiry, seed=child(seed, "null"))
     if estimate_noise:
-        batch = without_spoilt_frames(Posterior(base, batch, simulator).neighbourhood(null.point))
-    inquiry = Inquiry(base, effects, batch, simulator, most=most, progress=progress)
-    if estimate_noise:
+        near = Posterior(base, batch, simulator).neighbourhood(null.point)
+        inquiry = replace(inquiry, batch=without_spoilt_frames(near))
         null, inquiry = fit_with_noise(inquiry, nothing, null, seed=child(seed, "noise"))
     left = inquiry.test(null, nothing, seed=child(seed, "gap"))
     gap = left.test
@@ -167,7 +166,7 @@ def diagnose(
         found = replace(found, verdict="undecided", reason=reason)
     elif gap.found:
         if may_differ(inquiry.batch):
-            alone = fit_alone(null, inquiry.batch, simulator, seed=child(seed, "alone"))
+            alone = fit_alone(inquiry, null, seed=child(seed, "alone"))
             inquiry = replace(inquiry, alone=alone)
         found = select_causes(inquiry, null, left, seed=seed)
         if found.within_misfit is not None and found.selected.parts:
@@ -180,7 +179,7 @@ def diagnose(
             over = (sds[0] / sds[1])[inquiry.batch.mask].log().mean()
             tried = [step.winner.name for step in found.steps]
             again = abs(float(over)) > math.log(_OTHER_NOISE) or held.name not in tried
-            fit = fit_null(base, beside.batch, simulator, seed=own) if again else null
+            fit = fit_null(beside, seed=own) if again else null
             if again and fit.certificate.usable:
                 null = fit
                 inquiry = replace(inquiry, batch=beside.batch)

@@ -15,55 +15,52 @@ from imr_torch.assimilate.map_fit import assimilate_model
 from imr_torch.float64 import randn
 from imr_torch.gap.hypotheses import (
     Hypothesis,
+    Inquiry,
     finish,
     fit_hypotheses,
     lower,
     scatters,
 )
-from imr_torch.observe import NUISANCES, ExperimentBatch
+from imr_torch.observe import NUISANCES
 from imr_torch.random import child, generator
-from imr_torch.simulate import Simulator
 
 _APART = 0.5  # prior standard deviations between the starts of a curve's own fit
 # all starts are descended from: two that begin close may agree on a minimum that is not the lowest
 _EVERY_START = SearchOptions(drop_behind=50.0)
 
 
-def fit_alone(
-    fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, seed: int
-) -> tuple[ModelFit, ...]:
+def fit_alone(inquiry: Inquiry, fit: ModelFit, *, seed: int) -> tuple[ModelFit, ...]:
     """Each experiment by itself, from the fit to all and from points beside it.
 
     Args:
+        inquiry: the data and what makes the bubbles.
         fit: to all experiments.
-        batch: the data.
-        simulator: makes the bubbles.
         seed: of the starts.
     """
     found = []
-    for e, experiment in enumerate(batch.experiments):
+    for e, experiment in enumerate(inquiry.batch.experiments):
         seed_here = child(seed, "alone", experiment.label)
         beside = _APART * randn(2, len(fit.mean), generator=generator(seed_here))
         starts = torch.cat((fit.mean[None], fit.mean + beside))
-        one = replace(batch, experiments=(experiment,), between={})
+        one = replace(inquiry.batch, experiments=(experiment,), between={})
+        single = replace(inquiry, batch=one, progress=None)
         alone = assimilate_model(
-            Posterior(fit.prior, one, simulator),
+            Posterior(fit.prior, one, inquiry.simulator),
             Point(starts, fit.nuisances[e : e + 1, : len(NUISANCES)]),
             seed=seed_here,
             options=_EVERY_START,
         )
         if not alone.certificate.converged:
-            alone = finish(alone, one, simulator, seed=child(seed_here, "finish"))
+            nothing = Hypothesis(inquiry.base)
+            alone = finish(single, alone, nothing, seed=child(seed_here, "finish"))
         found.append(alone)
     return tuple(found)
 
 
 def fit_differing(
+    inquiry: Inquiry,
     hypothesis: Hypothesis,
     near: ModelFit,
-    alone: Sequence[ModelFit],
-    batch: ExperimentBatch,
-    simulator: Simulator,
     *,
     seed: int,
     options: SearchOptions,
@@ -72,18 +69,15 @@ def fit_differing(
     gel.
 
     Args:
+        inquiry: the data, with the base model's fit of each experiment by itself.
         hypothesis: with gels that differ.
         near: fit of the same with one gel.
-        alone: the base model's fit of each experiment by itself.
-        batch: the data.
-        simulator: makes the bubbles.
         seed: of the searches.
         options: how to search.
     """
-    search = partial(
-        fit_hypotheses, [hypothesis], batch=batch, simulator=simulator, seed=seed, twice=0
-    )
-    apart = start_apart(hypothesis, near, alone)
+    silent = replace(inquiry, progress=None)
+    search = partial(fit_hypotheses, silent, [hypothesis], seed=seed, twice=0)
+    apart = start_apart(hypothesis, near, inquiry.alone)
     first = search(apart, options=options)[hypothesis.name]
     second = search(near, options=replace(options, rival=first.cost))[hypothesis.name]
     return lower(first, second, options)

@@ -22,6 +22,7 @@ from imr_torch.assimilate import Assimilation, ModelFit, Point, Posterior, Searc
 from imr_torch.assimilate.fit import NEARLY, ONE_MINIMUM, PROMISED
 from imr_torch.assimilate.starts import draw_perturbation
 from imr_torch.float64 import tensor
+from imr_torch.gap.adequacy import Adequacy, adequacy_test
 from imr_torch.material import Belief, Effect, ModelBelief
 from imr_torch.material.belief import even_belief
 from imr_torch.material.model_belief import add_parameters
@@ -124,6 +125,46 @@ class Hypothesis:
         return torch.stack(rows)
 
 
+@dataclass(frozen=True)
+class Inquiry:
+    """What is asked of data: whether a base model is enough, and what it may lack.
+
+    Args:
+        base: the base model's prior.
+        batch: the data.
+        simulator: makes the bubbles.
+        effects: the library to choose from.
+        alone: the base model's fit of each experiment by itself, from which gels that differ start;
+            without them they are not among the causes.
+        most: parts that are selected at most.
+        progress: called with one line per step.
+    """
+
+    base: ModelBelief
+    batch: ExperimentBatch
+    simulator: Simulator
+    effects: tuple[Effect, ...] = ()
+    alone: Sequence[ModelFit] = ()
+    most: int = 2
+    progress: Progress = None
+
+    def longer(self, held: Hypothesis) -> dict[str, Hypothesis]:
+        """What a hypothesis can be made by one part more -> that hypothesis.
+
+        An effect that shares no parameter with those held, or gels that differ, where shots can
+        show that.
+        """
+        taken = {name for effect in held.effects for name in effect.names}
+        found = {e.name: held.beside(e) for e in self.effects if not taken & set(e.names)}
+        if self.alone and not held.gels_differ:
+            found[GEL_SCATTER] = held.differing()
+        return found
+
+    def test(self, fit: ModelFit, held: Hypothesis, *, seed: int) -> Adequacy:
+        """The gap test at the fit of a hypothesis."""
+        return adequacy_test(fit, self.effects, held.seen(self.batch), self.simulator, seed=seed)
+
+
 def in_words(part: str) -> str:
     """What a report calls a part of a hypothesis: an effect by its name.
 
@@ -150,15 +191,7 @@ def scatters(base: ModelBelief) -> dict[str, Scatter]:
     return {name: Scatter(SCALE) for name in base.of_gel}
 
 
-def fit_null(
-    base: ModelBelief,
-    batch: ExperimentBatch,
-    simulator: Simulator,
-    *,
-    seed: int,
-    near: ModelFit | None = None,
-    progress: Progress = None,
-) -> ModelFit:
+def fit_null(inquiry: Inquiry, *, seed: int, near: ModelFit | None = None) -> ModelFit:
     """The base model with nuisances, from several starts, with its certificate, which the caller
     must check.
 
@@ -168,15 +201,22 @@ def fit_null(
     """
     options = SearchOptions()
     search = partial(
-        assimilate, even_belief((base,)), batch, simulator, warn=False, progress=progress
+        assimilate,
+        even_belief((inquiry.base,)),
+        inquiry.batch,
+        inquiry.simulator,
+        warn=False,
+        progress=inquiry.progress,
     )
     if near is not None:
-        moved = search(seed=seed, options=options, near=as_assimilation(near, batch)).fits[0]
+        moved = search(seed=seed, options=options, near=as_assimilation(near, inquiry.batch)).fits[
+            0
+        ]
         if moved.certificate.converged:
             return moved
     fit = search(seed=seed, options=options).fits[0]
     if fit.certificate.gradient >= options.gradient:
-        fit = finish(fit, batch, simulator, seed=child(seed, "finish"), progress=progress)
+        fit = finish(inquiry, fit, Hypothesis(inquiry.base), seed=child(seed, "finish"))
     if fit.certificate.converged or fit.certificate.gradient >= options.gradient:
         return fit
     many = SearchOptions(starts=_MANY)
@@ -205,16 +245,14 @@ def _certified(fit: ModelFit, agreement: float, options: SearchOptions) -> Model
 
 
 def fit_hypotheses(
+    inquiry: Inquiry,
     hypotheses: Sequence[Hypothesis],
     null: ModelFit,
-    batch: ExperimentBatch,
-    simulator: Simulator,
     *,
     seed: int,
     starts: Mapping[str, Sequence[Sequence[float]]] | None = None,
     options: SearchOptions | None = None,
     twice: int = LEADING,
-    progress: Progress = None,
 ) -> dict[str, ModelFit]:
     """Fit hypotheses that have the same nuisances in one batch, from the null fit.
 
@@ -224,17 +262,15 @@ def fit_hypotheses(
     that has not converged and may get lower.
 
     Args:
+        inquiry: the data and what makes the bubbles.
         hypotheses: what to fit.
         null: the fit without each one's last effect.
-        batch: the data.
-        simulator: makes the bubbles.
         seed: of the search.
         starts: name of a last effect -> values from which to start it; its own starts where not
             given.
         options: how to search.
         twice: fits of lowest cost by coarse bubbles that get a second start by the simulator's own;
             with 0 none is certified.
-        progress: called with one line per iteration.
 
     Returns:
         Name of the hypothesis -> fit, whose certificate the caller must check.
@@ -242,17 +278,17 @@ def fit_hypotheses(
     if not hypotheses:
         return {}
     options = options or SearchOptions()
-    batch = hypotheses[0].seen(batch)
+    batch = hypotheses[0].seen(inquiry.batch)
     search = partial(
         _descend,
         even_belief(h.belief for h in hypotheses),
         batch,
-        simulator,
+        inquiry.simulator,
         seed=seed,
         starts=[h.starts(null, starts or {}) for h in hypotheses],
         nuisances=[deviating(null, h) for h in hypotheses],
         twice=twice,
-        progress=progress,
+        progress=inquiry.progress,
     )
     found = search(options=options)
     if overdispersion(null, batch) > _FAR:
@@ -354,24 +390,25 @@ def _seen_by(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> Mod
     )
 
 
-def finish(
-    fit: ModelFit,
-    batch: ExperimentBatch,
-    simulator: Simulator,
-    *,
-    seed: int,
-    options: SearchOptions | None = None,
-    progress: Progress = None,
-) -> ModelFit:
+def finish(inquiry: Inquiry, fit: ModelFit, hypothesis: Hypothesis, *, seed: int) -> ModelFit:
     """Continue a fit that was cut short, from where it ended and from a point beside it.
 
     The second start may end in another local minimum. The agreement in the certificate is then that
     of the earlier starts, if they had nearly converged, or that of more starts beside it.
     """
-    options = options or SearchOptions(starts=2)
+    options = SearchOptions(starts=2)
+    batch = hypothesis.seen(inquiry.batch)
     near = as_assimilation(fit, batch)
-    search = partial(assimilate, options=options, warn=False, progress=progress)
-    ended = search(near.prior, batch, simulator, seed=seed, near=near).fits[0]
+    search = partial(
+        assimilate,
+        near.prior,
+        batch,
+        inquiry.simulator,
+        options=options,
+        warn=False,
+        progress=inquiry.progress,
+    )
+    ended = search(seed=seed, near=near).fits[0]
     if fit.certificate.gradient < NEARLY and abs(fit.cost - ended.cost) < ONE_MINIMUM:
         ended = _certified(
             ended, min(ended.certificate.agreement, fit.certificate.agreement), options
@@ -384,9 +421,7 @@ def finish(
         [draw_perturbation(ended.chol, source, away) for _ in range(_AGAIN)]
     )
     moved = [ended.nuisances_at(starts)]
-    again = search(
-        near.prior, batch, simulator, seed=child(seed, "again"), starts=[starts], nuisances=moved
-    )
+    again = search(seed=child(seed, "again"), starts=[starts], nuisances=moved)
     return lower(ended, again.fits[0], options)
 
 

@@ -13,6 +13,7 @@ selected beside slow noise of each shot's own, of an amount that is as unknown b
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from operator import itemgetter
 
 import torch
@@ -20,10 +21,11 @@ import torch
 from imr_torch.assimilate import ModelFit, infer_frame_noise
 from imr_torch.assimilate.slow_noise import BesideSlowNoise
 from imr_torch.gap.adequacy import Adequacy
-from imr_torch.gap.attribute import Attribution, Inquiry, attribute, reconsider
+from imr_torch.gap.attribute import Attribution, attribute, reconsider
 from imr_torch.gap.hypotheses import (
     EXPLAINS,
     Hypothesis,
+    Inquiry,
     finish,
     fit_null,
     in_words,
@@ -145,13 +147,13 @@ def _select_within_misfit(
     fit, within = fit_with_noise(inquiry, held, null, of_misfit=True, seed=child(seed, "misfit"))
     own_fit = fit
     left = within.test(fit, held, seed=seed)
-    steps: tuple[Attribution, ...] = ()
+    steps: list[Attribution] = []
     while len(held.parts) < inquiry.most and inquiry.longer(held):
         own = child(seed, "misfit", len(held.parts))
         found = attribute(within, fit, held, before=left, seed=own)
         beside = [step for step in finding.steps if step.held.name == held.name]
         step, explained = weigh_beside_slow([found, *beside], inquiry.batch, inquiry.simulator)
-        steps = (*steps, step)
+        steps.append(step)
         name, nats = max(explained.items(), key=itemgetter(1), default=("", 0.0))
         if nats < EXPLAINS:
             name = found.winner.name
@@ -163,7 +165,7 @@ def _select_within_misfit(
     base = own_fit
     if held.parts:
         near = steps[0].fits[NONE]
-        base = fit_null(inquiry.base, within.batch, inquiry.simulator, seed=seed, near=near)
+        base = fit_null(replace(within, progress=None), seed=seed, near=near)
         left = within.test(base, Hypothesis(inquiry.base), seed=seed)
     nearest = " and ".join(map(in_words, held.parts))
     explained = f"{nearest} explains some of it" if nearest else "none explains any of it"
@@ -171,7 +173,7 @@ def _select_within_misfit(
         finding,
         selected=held,
         selected_fit=fit,
-        within_misfit=WithinMisfit(own_fit, within.batch, base, left, steps),
+        within_misfit=WithinMisfit(own_fit, within.batch, base, left, tuple(steps)),
         reason="No effect of the library is enough; where all that is left counts as noise, "
         f"{explained}.",
     )
@@ -234,21 +236,19 @@ def fit_with_noise(
     """The fit of a hypothesis under the noise that is inferred about it, and the data with that
     noise: of single frames, or of all that the fit leaves.
     """
-    progress = inquiry.progress
-    batch = inquiry.batch
     for number in range(_NOISE_ROUNDS):
-        noise = infer_frame_noise(fit.linearise(held.seen(batch), inquiry.simulator))
+        seen = held.seen(inquiry.batch)
+        noise = infer_frame_noise(fit.linearise(seen, inquiry.simulator))
         if of_misfit:  # enlarged only at last: a fit by wide noise leaves more
             noise = noise.for_fits(widen=number + 1 == _NOISE_ROUNDS)
-        batch = noise.applied(batch)
-        if progress:
-            progress(f"noise {batch.noise}")
-        own = {"seed": child(seed, number), "progress": progress}
-        if held.parts:
-            fit = finish(fit, held.seen(batch), inquiry.simulator, **own)
-        else:
-            fit = fit_null(held.base, batch, inquiry.simulator, near=fit, **own)
-    return fit, replace(inquiry, batch=batch)
+        inquiry = replace(inquiry, batch=noise.applied(inquiry.batch))
+        if inquiry.progress:
+            inquiry.progress(f"noise {inquiry.batch.noise}")
+        again = partial(finish, inquiry, fit, held)
+        if not held.parts:
+            again = partial(fit_null, inquiry, near=fit)
+        fit = again(seed=child(seed, number))
+    return fit, inquiry
 
 
 def _select_until_adequate(

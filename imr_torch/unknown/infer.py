@@ -226,7 +226,7 @@ def infer_unknown(
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, wide_prior
-    >>> from imr_torch.gap.hypotheses import fit_null
+    >>> from imr_torch.gap.hypotheses import Inquiry, fit_null
     >>> from imr_torch.material import PARAMETERS
     >>> from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
     >>> from imr_torch.unknown import infer_unknown
@@ -235,7 +235,7 @@ def infer_unknown(
     >>> laboratory = SimulatedLaboratory(simulator, truth, repeats=10)
     >>> designs = torch.tensor([[300.0, 0.15], [600.0, 0.25]], dtype=torch.float64)
     >>> batch = ExperimentBatch(tuple(laboratory.shoot(x, seed=i) for i, x in enumerate(designs)))
-    >>> fit = fit_null(wide_prior(["nhkv"])["nhkv"], batch, simulator, seed=0)
+    >>> fit = fit_null(Inquiry(wide_prior(["nhkv"])["nhkv"], batch, simulator), seed=0)
     >>> unknown = infer_unknown(fit, batch, simulator)
     >>> unknown.explained > 10.0, unknown.probabilities["camera"] < 0.01
     (True, True)

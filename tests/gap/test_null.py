@@ -32,13 +32,13 @@ def _short(times: list[int]):
 
 def test_that_a_fit_without_time_to_arrive_is_taken_up_again(monkeypatch) -> None:
     batch = shoot({}, DESIGNS[:1], repeats=10, end=1.5)
-    simulator = PolytropicSimulator()
+    inquiry = hypotheses.Inquiry(BASE, batch, PolytropicSimulator())
     monkeypatch.setattr(hypotheses, "assimilate", _short([1]))
-    fit = hypotheses.fit_null(BASE, batch, simulator, seed=0)
+    fit = hypotheses.fit_null(inquiry, seed=0)
     assert fit.certificate.converged
     monkeypatch.setattr(hypotheses, "assimilate", _short([1]))
-    monkeypatch.setattr(hypotheses, "finish", lambda fit, *_, **__: fit)
-    assert not hypotheses.fit_null(BASE, batch, simulator, seed=0).certificate.converged
+    monkeypatch.setattr(hypotheses, "finish", lambda _, fit, *__, **___: fit)
+    assert not hypotheses.fit_null(inquiry, seed=0).certificate.converged
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,8 @@ def test_that_starts_which_arrived_apart_are_certified_only_if_more_of_them_find
 
     monkeypatch.setattr(hypotheses, "assimilate", search)
     batch = shoot({}, DESIGNS[:1], repeats=2, end=1.5)
-    fit = hypotheses.fit_null(BASE, batch, PolytropicSimulator(), seed=0)
+    inquiry = hypotheses.Inquiry(BASE, batch, PolytropicSimulator())
+    fit = hypotheses.fit_null(inquiry, seed=0)
     assert (fit.cost, fit.certificate.converged) == (cost, converged)
     assert asked == [3, 6]
 
@@ -101,7 +102,6 @@ def test_that_a_fit_taken_up_again_counts_the_agreement_of_starts_that_were_all_
 
     monkeypatch.setattr(hypotheses, "assimilate", search)
     batch = shoot({}, DESIGNS[:1], repeats=2, end=1.5)
-    assert (
-        hypotheses.finish(before, batch, PolytropicSimulator(), seed=0).certificate.converged
-        is converged
-    )
+    inquiry = hypotheses.Inquiry(BASE, batch, PolytropicSimulator())
+    again = hypotheses.finish(inquiry, before, hypotheses.Hypothesis(BASE), seed=0)
+    assert again.certificate.converged is converged

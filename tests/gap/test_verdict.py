@@ -9,8 +9,8 @@ from types import SimpleNamespace
 import pytest
 
 from imr_torch.gap import selection
-from imr_torch.gap.attribute import Attribution, Inquiry
-from imr_torch.gap.hypotheses import Hypothesis
+from imr_torch.gap.attribute import Attribution
+from imr_torch.gap.hypotheses import Hypothesis, Inquiry
 from imr_torch.gap.verdict import (
     PRIOR_NONE,
     PRIOR_SLOW,
@@ -63,7 +63,7 @@ def named(posterior: dict[str, float], winner: str, **about: float):
 def selected(p_gap: float):
     left = SimpleNamespace(test=SimpleNamespace(p_value=p_gap, bias_radius=0.02), starts={})
     batch = SimpleNamespace(noise_laws=None)
-    inquiry = Inquiry(BASE, EFFECTS, batch, None)
+    inquiry = Inquiry(BASE, batch, None, EFFECTS)
     return selection.select_causes(inquiry, None, left, seed=0)
 
 
