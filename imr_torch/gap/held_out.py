@@ -135,18 +135,19 @@ class Judged:
         expected = self.share * self.projector.square().sum(1)
         return ((self.projector @ residual).square() - expected) / self.batch.counts[0]
 
-    def excess_by_phase(self, held: HeldOut) -> Float[Tensor, "phases"]:
-        """The same of one of the predictions, by phase."""
-        return self._by_phase(self.excess(held.residual))
+    def excess_by_phase(self) -> Float[Tensor, "2 phases"]:
+        """The same of both predictions, by phase."""
+        both = (self.base, self.effect)
+        return torch.stack([self._by_phase(self.excess(own.residual)) for own in both])
 
-    def later_by_phase(self, turn: float) -> list[Float[Tensor, "phases"]]:
+    def later_by_phase(self, turn: float) -> Float[Tensor, "2 phases"] | None:
         """The same of both over the frames after a reading of the phase clock, with what is the
-        curve's own fitted before it; empty where there are no such frames or only such.
+        curve's own fitted before it; None where there are no such frames or only such.
         """
         early = phase_clock(self.batch.times, self.batch.mean, self.batch.mask)[0] <= turn
         if not early.any() or early.all():
-            return []
-        return [self._later(own, early) for own in (self.base, self.effect)]
+            return None
+        return torch.stack([self._later(own, early) for own in (self.base, self.effect)])
 
     def _later(self, own: HeldOut, early: Tensor) -> Tensor:
         centred = own.residual + own.by_nuisance @ own.nuisances

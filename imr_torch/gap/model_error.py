@@ -183,25 +183,22 @@ def missing_system(left: Adequacy, *, inside: bool = True) -> LinearSystem:
     """
     rows = _camera_rows(left.line)
     if inside:
-        rows += [own / math.sqrt(len(own)) for own in left.directions.values() if len(own)]
-        for name in (STATE_LAW, PULSES):
-            own = left.generic.get(name)
-            if own is not None and len(own):
-                length = own.norm(dim=1, keepdim=True).clamp_min(1e-300)
-                rows.append(own * _GENERIC / length / math.sqrt(len(own)))
+        rows += [own / math.sqrt(len(own)) for own in left.directions.values()]
+        for own in (left.generic[STATE_LAW], left.generic[PULSES]):
+            length = own.norm(dim=1, keepdim=True).clamp_min(1e-300)
+            rows.append(own * _GENERIC / length / math.sqrt(len(own)))
     return LinearSystem(left.line.residual, left.line.fitted, torch.cat(rows).mT)
 
 
 def _camera_rows(line: Linearisation) -> list[Float[Tensor, "unknowns rows"]]:
     """Whitened smooth errors of the radius and of time: alike in all curves, and each curve's own."""
-    sizes = (_CAMERA, _CAMERA_TIME)
-    errors = smooth_errors(line, _KNOTS, float(_KNOTS[1] - _KNOTS[0]))
-    alike = [size * rows for size, rows in zip(sizes, errors, strict=True)]
-    if len(line.batch.experiments) == 1:
-        return [line.whiten(rows) for rows in alike]
-    each = eye(len(line.batch.experiments))[:, None, :, None]
-    single = [(rows[None] * each).flatten(0, 1) for rows in alike]
-    return [line.whiten(rows) for rows in (*alike, *single)]
+    sizes = tensor((_CAMERA, _CAMERA_TIME))[:, None, None, None]
+    alike = sizes * smooth_errors(line, _KNOTS, float(_KNOTS[1] - _KNOTS[0]))
+    rows = [alike.flatten(0, 1)]
+    count = len(line.batch.experiments)
+    if count > 1:
+        rows.append((alike[:, None] * eye(count)[:, None, :, None]).flatten(0, 2))
+    return [line.whiten(own) for own in rows]
 
 
 def smooth_errors(

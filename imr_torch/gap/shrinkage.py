@@ -127,20 +127,18 @@ def shrinkage(
     if not judged:
         return None
     source = generator(child(seed, "interval"))
-    base = [pair.excess_by_phase(pair.base) for pair in judged]
-    base_gap = float(torch.cat(base).sum())
+    excess = torch.stack([pair.excess_by_phase() for pair in judged])
+    base_gap = float(excess[:, 0].sum())
     count = sum(len(pair.phase) for pair in judged)
     freedom = float(sum(pair.projector.trace() for pair in judged))
     squares = [(pair.projector @ pair.base.residual).square().sum() for pair in judged]
     base_p = float(chdtrc(freedom, float(sum(squares))))
     left = base_p < ADEQUATE and base_gap > 0.0
-    later = [both for pair in judged if (both := pair.later_by_phase(TURN))]
-    later_base = [both[0] for both in later]
-    turned = left and later and float(torch.cat(later_base).sum()) > 0.0
-    effect = [pair.excess_by_phase(pair.effect) for pair in judged]
+    later = [both for pair in judged if (both := pair.later_by_phase(TURN)) is not None]
+    turned = left and later and float(torch.stack(later)[:, 0].sum()) > 0.0
     return Shrinkage(
-        share=_interval(base, effect, source) if left else None,
-        later=_interval(later_base, [both[1] for both in later], source) if turned else None,
+        share=_interval(excess, source) if left else None,
+        later=_interval(torch.stack(later), source) if turned else None,
         placebo=_placebo(report, judged, placebos, child(seed, "placebo")) if left else (),
         base_gap=base_gap / count,
         base_p=base_p,
@@ -150,16 +148,15 @@ def shrinkage(
 
 
 def _interval(
-    base: Sequence[Tensor], effect: Sequence[Tensor], source: torch.Generator
+    rows: Float[Tensor, "curves 2 phases"], source: torch.Generator
 ) -> tuple[float, float, float]:
-    """5, 50, 95 % of ``1 - sum(effect) / sum(base)`` over curves, or over phases of few curves,
-    drawn anew.
+    """5, 50, 95 % of ``1 - effect / base`` over curves, or over phases of few curves, drawn anew;
+    rows hold squares of the base and of the effect.
 
     One unit fewer than there are is drawn with replacement (Rao & Wu, J. Am. Stat. Assoc. 83,
     1988). A draw in which the base leaves no gap counts as -1 for the lower bound and as 1 for the
     upper; none counts as more than 2 in size.
     """
-    rows = torch.stack([torch.stack(list(pair)) for pair in zip(base, effect, strict=True)])
     units = rows.sum(2) if len(rows) >= _MANY else rows.movedim(1, 2).flatten(0, 1)
     units = units[(units != 0.0).any(1)]
     count = len(units)
@@ -181,12 +178,10 @@ def _placebo(
     """``S`` of random libraries, sorted: the procedure where no candidate is the cause."""
     offered = len(report.trained.steps[0].hypotheses) - 1
     rounds = len(report.selected.effects)
-    sizes = [
-        rows.norm(dim=1).mean() for rows in report.trained.left.directions.values() if len(rows)
-    ]
+    sizes = [rows.norm(dim=1).mean() for rows in report.trained.left.directions.values()]
     of_frame = float(torch.stack(sizes).median() / report.batch.mask.sum().sqrt())
     trainings = {id(pair.training): pair for pair in judged}
-    before = float(sum(pair.excess_by_phase(pair.base).sum() for pair in judged))
+    before = float(sum(pair.excess_by_phase()[0].sum() for pair in judged))
     shares = []
     for number in range(count):
         source = generator(child(seed, number))
