@@ -30,8 +30,9 @@ from benchmarks.gap.verdicts import families, is_in_class, is_named, posterior_o
 from benchmarks.records import Figure, Line, read_record, run_missing_jobs, write_figures
 from imr_torch.errors import ConvergenceWarning
 from imr_torch.gap import GapReport, diagnose
+from imr_torch.gap.fits import fit_hypotheses
 from imr_torch.gap.held_out import judge_designs
-from imr_torch.gap.hypotheses import Hypothesis, Inquiry, fit_hypotheses
+from imr_torch.gap.hypotheses import Hypothesis, Inquiry
 from imr_torch.gap.model_error import model_error
 from imr_torch.gap.shrinkage import shrinkage
 from imr_torch.material import LIBRARY

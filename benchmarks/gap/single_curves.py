@@ -39,7 +39,8 @@ from imr_torch import characterize, wide_prior
 from imr_torch.errors import ImrError
 from imr_torch.gap import diagnose, library
 from imr_torch.gap.adequacy import adequacy_test
-from imr_torch.gap.hypotheses import Inquiry, fit_null
+from imr_torch.gap.fits import fit_null
+from imr_torch.gap.hypotheses import Inquiry
 from imr_torch.material import LIBRARY, PARAMETERS
 from imr_torch.observe import (
     Experiment,

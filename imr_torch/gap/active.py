@@ -165,9 +165,12 @@ class TellCausesApart:
         if situation.batch is None or situation.prior is None:
             reason = "The first shot: there is nothing to tell apart yet."
         else:
-            prior, batch, simulator = situation.prior, situation.batch, situation.simulator
             report = self.learner.diagnose(
-                prior, batch, simulator, situation.seed, progress=progress
+                situation.prior,
+                situation.batch,
+                situation.simulator,
+                situation.seed,
+                progress=progress,
             )
             if report.attribution is not None:
                 try:

@@ -19,16 +19,8 @@ from itertools import accumulate
 from imr_torch.assimilate import ModelFit, SearchOptions
 from imr_torch.assimilate.slow_noise import SmoothDeviations, smooth_deviations
 from imr_torch.gap.adequacy import Adequacy
-from imr_torch.gap.differing import fit_differing
-from imr_torch.gap.hypotheses import (
-    GEL_SCATTER,
-    Hypothesis,
-    Inquiry,
-    finish,
-    fit_hypotheses,
-    laplace_evidence,
-    promised,
-)
+from imr_torch.gap.fits import finish, fit_differing, fit_hypotheses, promised
+from imr_torch.gap.hypotheses import GEL_SCATTER, Hypothesis, Inquiry, laplace_evidence
 from imr_torch.gap.lookalike import Likeness, likeness
 from imr_torch.gap.verdict import CheckedEvidence, check_evidence, probabilities
 from imr_torch.goodness.score import GapTest

@@ -14,8 +14,8 @@ from imr_torch.assimilate import FIRST_KINK, ModelFit, Posterior
 from imr_torch.assimilate.spikes import frames_left_out, without_spoilt_frames
 from imr_torch.errors import InputDataError
 from imr_torch.gap.adequacy import Adequacy
-from imr_torch.gap.differing import fit_alone
-from imr_torch.gap.hypotheses import Hypothesis, Inquiry, fit_null, may_differ
+from imr_torch.gap.fits import fit_alone, fit_null
+from imr_torch.gap.hypotheses import Hypothesis, Inquiry, may_differ
 from imr_torch.gap.selection import Finding, WithinMisfit, fit_with_noise, select_causes
 from imr_torch.goodness.score import GapTest
 from imr_torch.labels import p_value

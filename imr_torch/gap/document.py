@@ -18,9 +18,8 @@ from imr_torch.files import Document, drawn_numbers
 from imr_torch.float64 import zeros
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
-from imr_torch.gap.differing import gels_of
 from imr_torch.gap.examine import Parts
-from imr_torch.gap.hypotheses import EXPLAINS, GEL_SCATTER, Hypothesis, in_words
+from imr_torch.gap.hypotheses import EXPLAINS, GEL_SCATTER, Hypothesis, gels_of, in_words
 from imr_torch.gap.identity_design import NextDesign
 from imr_torch.gap.shrinkage import Shrinkage
 from imr_torch.gap.verdict import MEMBER, NONE, OTHER, SLOW_NOISE

@@ -24,12 +24,7 @@ from imr_torch.assimilate.slow_noise import BesideSlowNoise
 from imr_torch.float64 import eye, randn, zeros
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
-from imr_torch.gap.hypotheses import (
-    EXPLAINS,
-    GEL_SCATTER,
-    Hypothesis,
-    laplace_evidence,
-)
+from imr_torch.gap.hypotheses import EXPLAINS, GEL_SCATTER, Hypothesis, laplace_evidence
 from imr_torch.gap.selection import evidence_beside_slow
 from imr_torch.goodness.linear import Linearisation, linearise_fit, whiten_rows
 from imr_torch.goodness.phases import PHASES, noise_shares, phase_clock, phase_numbers

@@ -22,15 +22,8 @@ from imr_torch.assimilate import ModelFit, infer_frame_noise
 from imr_torch.assimilate.slow_noise import BesideSlowNoise
 from imr_torch.gap.adequacy import Adequacy
 from imr_torch.gap.attribute import Attribution, attribute, reconsider
-from imr_torch.gap.hypotheses import (
-    EXPLAINS,
-    Hypothesis,
-    Inquiry,
-    finish,
-    fit_null,
-    in_words,
-    laplace_evidence,
-)
+from imr_torch.gap.fits import finish, fit_null
+from imr_torch.gap.hypotheses import EXPLAINS, Hypothesis, Inquiry, in_words, laplace_evidence
 from imr_torch.gap.verdict import MEMBER, NONE, OTHER, SLOW_NOISE, Choice, choose
 from imr_torch.labels import p_value
 from imr_torch.observe import ExperimentBatch

@@ -226,7 +226,8 @@ def infer_unknown(
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, wide_prior
-    >>> from imr_torch.gap.hypotheses import Inquiry, fit_null
+    >>> from imr_torch.gap.fits import fit_null
+    >>> from imr_torch.gap.hypotheses import Inquiry
     >>> from imr_torch.material import PARAMETERS
     >>> from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
     >>> from imr_torch.unknown import infer_unknown

@@ -9,7 +9,8 @@ import pytest
 from imr_torch.assimilate import SearchOptions
 from imr_torch.gap.adequacy import adequacy_test
 from imr_torch.gap.attribute import Attribution, attribute, reconsider
-from imr_torch.gap.hypotheses import Hypothesis, Inquiry, fit_hypotheses, laplace_evidence
+from imr_torch.gap.fits import fit_hypotheses
+from imr_torch.gap.hypotheses import Hypothesis, Inquiry, laplace_evidence
 from imr_torch.gap.verdict import CheckedEvidence
 from imr_torch.material import LIBRARY
 from imr_torch.simulate import (

@@ -10,15 +10,20 @@ import torch
 from imr_torch import PolytropicSimulator
 from imr_torch.assimilate import Point, Posterior, SearchOptions
 from imr_torch.errors import InputDataError
-from imr_torch.gap import diagnose, differing, library
-from imr_torch.gap.differing import fit_alone, fit_differing, gels_of, start_apart
+from imr_torch.gap import diagnose, fits, library
+from imr_torch.gap.fits import (
+    deviating,
+    finish,
+    fit_alone,
+    fit_differing,
+    fit_hypotheses,
+    fit_null,
+    start_apart,
+)
 from imr_torch.gap.hypotheses import (
     Hypothesis,
     Inquiry,
-    deviating,
-    finish,
-    fit_hypotheses,
-    fit_null,
+    gels_of,
     laplace_evidence,
     may_differ,
     scatters,
@@ -176,7 +181,7 @@ def test_that_the_fit_of_a_curve_that_did_not_converge_is_continued(
     one = Inquiry(BASE, ExperimentBatch(gels.experiments[1:2], gels.noise), SIMULATOR)
     (right,) = fit_alone(one, null, seed=0)
     short = SearchOptions(iterations=1)
-    monkeypatch.setattr(differing, "_EVERY_START", short)
+    monkeypatch.setattr(fits, "_EVERY_START", short)
     (curve,) = fit_alone(one, null, seed=0)
     assert curve.certificate.converged
     assert curve.cost == pytest.approx(right.cost, abs=1e-3)

@@ -9,8 +9,9 @@ import pytest
 import torch
 
 from imr_torch.assimilate import Posterior, SearchOptions
-from imr_torch.gap import hypotheses
-from imr_torch.gap.hypotheses import Hypothesis, Inquiry, fit_hypotheses, fit_null
+from imr_torch.gap import fits
+from imr_torch.gap.fits import fit_hypotheses, fit_null
+from imr_torch.gap.hypotheses import Hypothesis, Inquiry
 from imr_torch.material import LIBRARY, PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, predict
 from imr_torch.random import generator
@@ -38,7 +39,7 @@ def test_that_coarse_bubbles_lead_to_the_minimum_that_others_find(monkeypatch) -
     options = SearchOptions(starts=2, drop_behind=6.0, basin_rounds=0)
     inquiry = Inquiry(BASE, batch, FULL)
     led = fit_hypotheses(inquiry, EFFECTS, null, seed=0, options=options)
-    monkeypatch.setattr(hypotheses, "_TOO_COARSE", -1.0)  # no coarse bubbles
+    monkeypatch.setattr(fits, "_TOO_COARSE", -1.0)  # no coarse bubbles
     direct = fit_hypotheses(inquiry, EFFECTS, null, seed=0, options=options)
     one = led["gas_loss"]
     other = direct["gas_loss"]
@@ -105,9 +106,7 @@ def test_that_of_two_fits_the_lower_counts_or_one_that_may_get_lower() -> None:
         return replace(ended, cost=ended.cost - ahead, certificate=certificate)
 
     def cost(one, two) -> float:
-        (found,) = {
-            hypotheses.lower(*pair, SearchOptions()).cost for pair in ((one, two), (two, one))
-        }
+        (found,) = {fits.lower(*pair, SearchOptions()).cost for pair in ((one, two), (two, one))}
         return found - ended.cost
 
     assert cost(ended, other(1.0, 1e-4)) == pytest.approx(-1.0)
