@@ -258,9 +258,9 @@ def infer_unknown(
         "sample": flux_kernel(),
     }
     # a pressure in time follows any curve; what else can, begins where it ends
-    fits = {"drive": search.fit(kinds["drive"])}
-    for name in ("material", "contents", "sample"):
-        fits[name] = search.fit(kinds[name], lead=fits["drive"])
+    fits: dict[str, _Fit] = {}
+    for name, columns in kinds.items():
+        fits[name] = search.fit(columns, lead=fits.get("drive"))
     fits[CAMERA] = search.fit(camera_errors, inside=False)
     base = search.assemble(search.still, search.responses, ()).solve(1.0)
     logs = {name: found.log_evidence for name, found in fits.items()}
