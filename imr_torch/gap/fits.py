@@ -301,11 +301,12 @@ def fit_alone(inquiry: Inquiry, fit: ModelFit, *, seed: int) -> tuple[ModelFit, 
         seed_here = child(seed, "alone", experiment.label)
         beside = _APART * randn(2, len(fit.mean), generator=generator(seed_here))
         starts = torch.cat((fit.mean[None], fit.mean + beside))
+        known = fit.nuisances[e : e + 1, : len(NUISANCES)]
         one = replace(inquiry.batch, experiments=(experiment,), between={})
         single = replace(inquiry, batch=one, progress=None)
         alone = assimilate_model(
             Posterior(fit.prior, one, inquiry.simulator),
-            Point(starts, fit.nuisances[e : e + 1, : len(NUISANCES)]),
+            Point(starts, known.expand(len(starts), -1, -1)),
             seed=seed_here,
             options=_EVERY_START,
         )
