@@ -30,10 +30,11 @@ from benchmarks.gap.verdicts import families, is_in_class, is_named, posterior_o
 from benchmarks.records import Figure, Line, read_record, run_missing_jobs, write_figures
 from imr_torch.errors import ConvergenceWarning
 from imr_torch.gap import GapReport, diagnose
+from imr_torch.gap.fits import fit_hypotheses
 from imr_torch.gap.held_out import judge_designs
-from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses
+from imr_torch.gap.hypotheses import Hypothesis, Inquiry
 from imr_torch.gap.model_error import model_error
-from imr_torch.gap.shrinkage import beside_nuisances, shrinkage
+from imr_torch.gap.shrinkage import shrinkage
 from imr_torch.material import LIBRARY
 from imr_torch.observe import ExperimentBatch, load_set
 from imr_torch.random import child
@@ -98,7 +99,8 @@ def measure_shrinkage(
     fit = report.steps[0].fits[truth]
     if not fit.certificate.converged:
         loose = child(seed, "loose")
-        fit = fit_hypotheses([right], report.null, report.batch, simulator, seed=loose)[truth]
+        inquiry = Inquiry(report.base, report.batch, simulator)
+        fit = fit_hypotheses(inquiry, [right], report.null, seed=loose)[truth]
     told = replace(report, selected=right, selected_fit=fit)
     unseen = ExperimentBatch(data.unseen, report.batch.noise)
     judged = shrinkage(told, simulator, unseen, seed=child(seed, "shrinkage"))
@@ -106,7 +108,7 @@ def measure_shrinkage(
         return {}
     pairs = judge_designs(told, simulator, data.unseen_without_noise(), seed=seed)
     left = [
-        sum(float((beside_nuisances(p) @ held.residual).square().sum()) for p, held in rows)
+        sum(float((p.projector @ held.residual).square().sum()) for p, held in rows)
         for rows in ([(p, p.base) for p in pairs], [(p, p.effect) for p in pairs])
     ]
     return {

@@ -39,7 +39,8 @@ from imr_torch import characterize, wide_prior
 from imr_torch.errors import ImrError
 from imr_torch.gap import diagnose, library
 from imr_torch.gap.adequacy import adequacy_test
-from imr_torch.gap.hypotheses import fit_null
+from imr_torch.gap.fits import fit_null
+from imr_torch.gap.hypotheses import Inquiry
 from imr_torch.material import LIBRARY, PARAMETERS
 from imr_torch.observe import (
     Experiment,
@@ -245,7 +246,7 @@ def diagnose_traces(
     except ImrError as error:
         return line | {"refused": str(error)[:160]}
     batch = _give_noise(ExperimentBatch(experiments), laws)
-    null = fit_null(BASE, batch, fewer_steps(FITS), seed=1)
+    null = fit_null(Inquiry(BASE, batch, fewer_steps(FITS)), seed=1)
     effects = tuple(library(base=BASE.model))
     line["p_known"] = adequacy_test(null, effects, batch, fewer_steps(FITS), seed=1).test.p_value
     if shown and kind in ACTED and line["p_known"] >= SHOWN:

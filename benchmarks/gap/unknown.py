@@ -26,7 +26,8 @@ from torch import Tensor
 
 from benchmarks.gap.sets import PHYSICS, SyntheticSet, Task, make_set
 from benchmarks.records import Line, read_record, run_missing_jobs, write_table
-from imr_torch.gap.hypotheses import fit_null
+from imr_torch.gap.fits import fit_null
+from imr_torch.gap.hypotheses import Inquiry
 from imr_torch.material import LIBRARY, PARAMETERS, TERMS, dimensionless, gel_response, wide_prior
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator, fewer_steps
@@ -51,7 +52,8 @@ def infer_set(task: Task) -> Line:
     data = make_set(task)
     simulator = fewer_steps(task.simulator())
     batch = ExperimentBatch(data.experiments)
-    null = fit_null(wide_prior(("nhkv",)).models[0], batch, simulator, seed=task.seed)
+    base = wide_prior(("nhkv",)).models[0]
+    null = fit_null(Inquiry(base, batch, simulator), seed=task.seed)
     started = time.process_time()
     found = infer_unknown(null, batch, simulator)
     line: Line = {"truth": data.truth, "signal": data.signal, "explained": None}

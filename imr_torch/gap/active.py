@@ -8,8 +8,6 @@ space. Both are parts of :class:`imr_torch.campaign.Campaign`, whose journal kee
 diagnosis itself is made again on resume.
 """
 
-import hashlib
-import json
 from dataclasses import dataclass, replace
 
 import torch
@@ -104,18 +102,11 @@ class CauseLearner:
             )
         (base,) = prior.models
         offered = library(self.effects or None, base=base.model)
-        key = _key(
-            base,
-            [effect.name for effect in offered],
-            batch,
-            self.estimate_noise,
-            vars(batch.noise),
-            described(simulator),
-            seed,
-            self.most,
-        )
+        curves = [(curve_hash(e), e.design, e.nuisance) for e in batch.curves]
+        names = [effect.name for effect in offered]
+        # all that a diagnosis depends on
+        key = repr((self, prior.to_dict(), names, curves, batch.noise, described(simulator), seed))
         if key not in _MADE:
-            own = child(seed, "diagnose", len(batch.experiments))
             made = diagnose(
                 batch.curves,
                 base=base,
@@ -124,7 +115,7 @@ class CauseLearner:
                 estimate_noise=self.estimate_noise,
                 simulator=simulator,
                 most=self.most,
-                seed=own,
+                seed=child(seed, "diagnose", len(batch.experiments)),
                 progress=progress,
             )
             _MADE.clear()
@@ -229,20 +220,9 @@ def finding(report: GapReport) -> Finding:
 
 def _base_posterior(report: GapReport) -> ModelBelief:
     """The base model's parameters, inferred beside the cause if one is named."""
-    found = report.attribution
-    base = report.null.prior
-    named = report.verdict == "effect" and found is not None
-    fit = found.winner_fit if named and found is not None else report.null
+    base = report.base
+    fit = report.selected_fit if report.verdict == "effect" else report.null
     posterior = fit.posterior
     own = [posterior.names.index(name) for name in base.names]
     covariance = (posterior.chol @ posterior.chol.mT)[own][:, own]
     return base.with_gaussian(posterior.mean[own], torch.linalg.cholesky(covariance))
-
-
-def _key(base: ModelBelief, names: list[str], batch: ExperimentBatch, *rest: object) -> str:
-    """All that a diagnosis depends on, as one hash."""
-    curves = [(curve_hash(e), e.design, e.nuisance) for e in batch.curves]
-    prior = even_belief((base,)).to_dict()
-    return hashlib.sha256(
-        json.dumps([prior, names, curves, rest], default=repr).encode()
-    ).hexdigest()

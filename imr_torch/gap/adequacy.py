@@ -1,19 +1,32 @@
 """The gap test at a fit that includes effects: what is left unexplained there, and in which
 directions it was looked for.
+
+A refit of the gel compensates most of what an effect does, since it shifts the collapses back.
+Projecting the fitted directions off a change of tens of standard deviations compensates to first
+order only, and the second-order part, which a refit would not leave, is as large as what remains.
+So the gel (with the nuisances) is moved by the linear refit that compensates the change, the effect
+is simulated beside it, and the rest is taken from there, twice if it gets smaller. A change of
+hundreds of standard deviations (a strong stiffening) still leaves several times what a real refit
+does.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
 from imr_torch.assimilate import ModelFit
-from imr_torch.gap.lookalike import Likeness, likeness
-from imr_torch.gap.refitted import refitted_directions
-from imr_torch.goodness.linear import Linearisation, linearise_fit
+from imr_torch.float64 import full
+from imr_torch.goodness.linear import Linearisation, linearise_fit, predict_changed
 from imr_torch.goodness.score import (
+    Block,
     GapTest,
     effect_directions,
     gap_test,
     generic_rows,
+    log_survival,
     make_block,
     promising_starts,
 )
@@ -21,6 +34,12 @@ from imr_torch.material import Effect
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
 from imr_torch.types import Directions
+
+_ROUNDS = 2
+_FARTHEST_GEL, _FARTHEST_NUISANCE = (
+    1.0,
+    15.0,
+)  # prior sd of a move: farther gels cost much and are uninformative
 
 
 @dataclass(frozen=True)
@@ -34,7 +53,7 @@ class Adequacy:
         directions: what each of those effects changes there
             (:func:`imr_torch.goodness.score.effect_directions`).
         effects: those effects.
-        beside: the same beside a refit (:func:`imr_torch.gap.refitted.refitted_directions`).
+        beside: the same beside a refit (:func:`refitted_directions`).
         generic: rows of the generic blocks (:func:`imr_torch.goodness.score.generic_rows`).
     """
 
@@ -45,12 +64,6 @@ class Adequacy:
     effects: tuple[Effect, ...]
     beside: dict[str, Directions]
     generic: dict[str, Directions]
-
-    def likeness(self, size: float, *, seed: int) -> Likeness:
-        """What an unknown effect would look like here, of which a known one explains ``size``
-        standard deviations.
-        """
-        return likeness(size, self.beside, self.generic, self.effects, self.line, seed=seed)
 
 
 def adequacy_test(
@@ -72,3 +85,71 @@ def adequacy_test(
     return Adequacy(
         gap_test(blocks, line, seed=seed), starts, line, directions, others, beside, generic
     )
+
+
+def refitted_directions(
+    effects: Sequence[Effect],
+    fit: ModelFit,
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    line: Linearisation,
+    directions: dict[str, Directions],
+) -> dict[str, Directions]:
+    """Directions whose part beside the fitted ones is what a refit leaves of each effect.
+
+    Args:
+        effects: what was changed.
+        fit: the fit at which it was.
+        batch: the data.
+        simulator: makes the bubbles.
+        line: local sensitivities at the fit.
+        directions: name -> ``S x N``, whitened changes at each start
+            (:func:`imr_torch.goodness.score.effect_directions`).
+
+    Returns:
+        Name -> ``S x N``; the first-order rows where the moved gel is far off, cannot be simulated,
+        or leaves more.
+    """
+    changes = [
+        dict(zip(effect.names, start, strict=True)) for effect in effects for start in effect.starts
+    ]
+    if not changes:
+        return {}
+    rows = torch.cat([directions[effect.name] for effect in effects])
+    left = line.project_out(rows).norm(dim=1)
+    farthest = full((line.fitted.shape[1],), _FARTHEST_NUISANCE)
+    farthest[: len(fit.mean)] = _FARTHEST_GEL
+    under_way = torch.nonzero(left > 0.0)[:, 0]  # a start that failed would only fail again, slowly
+    for _ in range(_ROUNDS):
+        shift = rows[under_way] @ line.to_shift.mT
+        near = (shift.abs() <= farthest).all(1)
+        under_way = under_way[near]
+        shift = shift[near]
+        if not len(under_way):
+            break
+        moved = predict_changed(
+            fit, batch, simulator, [changes[i] for i in under_way.tolist()], -shift
+        )
+        beside = line.whiten(moved - line.prediction) + line.explained_rows(shift)
+        now = line.project_out(beside).norm(dim=1)
+        smaller = now < left[under_way]  # not where a solve failed: NaN is not smaller
+        under_way = under_way[smaller]
+        rows[under_way], left[under_way] = beside[smaller], now[smaller]
+    parts = rows.split([len(effect.starts) for effect in effects])
+    return {effect.name: part for effect, part in zip(effects, parts, strict=True)}
+
+
+def log_p_values(
+    blocks: Sequence[Block], rows: Float[Tensor, "*batch rows"]
+) -> list[Float[Tensor, "*batch"]]:
+    """Log p-values of residuals by each block that has a direction left.
+
+    Args:
+        blocks: what is tested.
+        rows: ``... x N`` tensor, residuals beside the fitted directions.
+    """
+    return [
+        log_survival((rows @ block.directions).square().sum(-1), block.directions.shape[1])
+        for block in blocks
+        if block.directions.shape[1]
+    ]

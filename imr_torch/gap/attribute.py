@@ -11,32 +11,21 @@ unknown effect of this size has been taken for the best known one (:mod:`imr_tor
 """
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import accumulate
 
 from imr_torch.assimilate import ModelFit, SearchOptions
 from imr_torch.assimilate.slow_noise import SmoothDeviations, smooth_deviations
-from imr_torch.gap.adequacy import Adequacy, adequacy_test
-from imr_torch.gap.differing import fit_differing
-from imr_torch.gap.evidence import CheckedEvidence, check_evidence
-from imr_torch.gap.hypotheses import (
-    GEL_SCATTER,
-    Hypothesis,
-    finish,
-    fit_hypotheses,
-    laplace_evidence,
-    may_differ,
-    promised,
-)
-from imr_torch.gap.lookalike import Likeness
-from imr_torch.gap.verdict import probabilities
+from imr_torch.gap.adequacy import Adequacy
+from imr_torch.gap.fits import finish, fit_differing, fit_hypotheses, promised
+from imr_torch.gap.hypotheses import GEL_SCATTER, Hypothesis, Inquiry, laplace_evidence
+from imr_torch.gap.lookalike import Likeness, likeness
+from imr_torch.gap.verdict import CheckedEvidence, check_evidence, probabilities
 from imr_torch.goodness.score import GapTest
-from imr_torch.material import Effect, ModelBelief
-from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
-from imr_torch.simulate import Simulator
-from imr_torch.types import Progress, ProgressLine
+from imr_torch.types import ProgressLine
 
 _SCALES_OF_NOISE = 9  # over which probabilities are averaged where the noise was inferred
 _MOST_LEFT_OUT = (
@@ -146,35 +135,6 @@ class Attribution:
         )
 
 
-@dataclass(frozen=True)
-class Inquiry:
-    """The attribution problem: a base model, candidate effects and data.
-
-    Args:
-        base: the base model's prior.
-        effects: the library to choose from.
-        batch: the data.
-        simulator: makes the bubbles.
-    """
-
-    base: ModelBelief
-    effects: tuple[Effect, ...]
-    batch: ExperimentBatch
-    simulator: Simulator
-
-    def longer(self, held: Hypothesis) -> dict[str, Hypothesis]:
-        """What a hypothesis can be made by one part more -> that hypothesis.
-
-        An effect that shares no parameter with those held, or gels that differ, where shots can
-        show that.
-        """
-        taken = {name for effect in held.effects for name in effect.names}
-        found = {e.name: held.beside(e) for e in self.effects if not taken & set(e.names)}
-        if not held.gels_differ and may_differ(self.batch):
-            found[GEL_SCATTER] = held.differing()
-        return found
-
-
 def attribute(
     inquiry: Inquiry,
     null: ModelFit,
@@ -182,9 +142,7 @@ def attribute(
     *,
     before: Adequacy,
     seed: int,
-    alone: Sequence[ModelFit] = (),
     masked: float = 1.0,
-    progress: Progress = None,
 ) -> Attribution:
     """Fit all hypotheses with one part more and compute their probabilities.
 
@@ -194,42 +152,27 @@ def attribute(
         held: what every hypothesis has.
         before: the gap test at ``null``.
         seed: of the fits and of the adequacy test.
-        alone: the base model's fit of each experiment by itself, from which gels that differ start;
-            without them they are not among the causes.
         masked: beside a selected part, the chance that this alone did not explain an unknown
             effect.
-        progress: called with one line per step.
     """
     longer = inquiry.longer(held)
-    if not alone:
-        longer.pop(GEL_SCATTER, None)
-    if progress:
-        progress(ProgressLine(f"attribution: {len(longer)} hypotheses", stage="effects"))
-    alike = [h for h in longer.values() if h.gels_differ is held.gels_differ]
+    if inquiry.progress:
+        inquiry.progress(ProgressLine(f"attribution: {len(longer)} hypotheses", stage="effects"))
+    differing = longer.pop(GEL_SCATTER, None)
     fits = {held.name: null} | fit_hypotheses(
-        alike,
-        null,
-        inquiry.batch,
-        inquiry.simulator,
-        seed=seed,
-        starts=before.starts,
-        options=_FIT,
-        progress=progress,
+        inquiry, list(longer.values()), null, seed=seed, starts=before.starts, options=_FIT
     )
-    if GEL_SCATTER in longer:
-        differing = longer[GEL_SCATTER]
+    if differing is not None:
         lowest = min(fit.cost for fit in fits.values())
         fits[differing.name] = fit_differing(
+            inquiry,
             differing,
             null,
-            alone,
-            inquiry.batch,
-            inquiry.simulator,
             seed=child(seed, "differing"),
             options=replace(_FIT_GELS, rival=lowest),
         )
     evidence = {name: laplace_evidence(fit) for name, fit in fits.items()}
-    return _Round(inquiry, before, held, longer, masked, fits, evidence).conclude(seed, progress)
+    return _conclude(inquiry, held, before, fits, evidence, masked=masked, seed=seed)
 
 
 def reconsider(
@@ -258,17 +201,16 @@ def reconsider(
     Returns:
         ``found`` itself unless the effect alone explains more than its winner.
     """
-    longer = inquiry.longer(found.held)
-    alone = longer[part]
+    inquiry = replace(inquiry, progress=None)
+    alone = inquiry.longer(found.held)[part]
     if alone.gels_differ:
         return found
     values = dict(zip(beside.prior.names, beside.prior.physical(beside.mean).tolist(), strict=True))
     amplitude, *shape = (values[name] for name in alone.effects[-1].names)
     fit = fit_hypotheses(
+        inquiry,
         [alone],
         beside,
-        inquiry.batch,
-        inquiry.simulator,
         seed=seed,
         starts={part: [(amplitude, *shape), (_LESS * amplitude, *shape)]},
         options=replace(_FIT, rival=found.winner_fit.cost),
@@ -278,133 +220,116 @@ def reconsider(
         return found
     fits = found.fits | {alone.name: fit}
     logs = found.log_evidence | {alone.name: evidence}
-    return _Round(inquiry, before, found.held, longer, 1.0, fits, logs).conclude(seed)
+    return _conclude(inquiry, found.held, before, fits, logs, masked=1.0, seed=seed)
 
 
-@dataclass
-class _Round:
-    """One round of attribution: what is asked about (part -> hypothesis) beside what is held, the
-    test at the fit of that, and the fits and their evidence, which are brought up to date.
+def _conclude(
+    inquiry: Inquiry,
+    held: Hypothesis,
+    before: Adequacy,
+    fits: dict[str, ModelFit],
+    evidence: dict[str, float],
+    *,
+    masked: float,
+    seed: int,
+) -> Attribution:
+    """What the evidence of the fits, which are brought up to date, and the winner's adequacy say."""
+    hypotheses = {h.name: h for h in (held, *inquiry.longer(held).values())}
+    batch = held.seen(inquiry.batch)
+    left_out: list[str] = []
+    find_winner = partial(_find_winner, inquiry, held, hypotheses, fits, evidence, left_out)
+    leader = find_winner((), seed)
+    alike = {n: x for n, x in evidence.items() if hypotheses[n].gels_differ is held.gels_differ}
+    own = child(seed, "evidence")
+    checked = check_evidence(fits, alike, batch, inquiry.simulator, seed=own)
+    if checked and all(found.reliable for found in checked.values()):
+        evidence |= {name: found.sampled for name, found in checked.items()}
+        leader = find_winner(checked, child(seed, "ahead"))
+    winner = hypotheses[leader]
+    left = inquiry.test(fits[leader], winner, seed=child(seed, "adequacy"))
+    null = fits[held.name]
+    size = math.sqrt(max(2.0 * (null.cost - fits[leader].cost), 0.0))
+    like = likeness(size, before, seed=seed)
+    laws = batch.noise_laws
+    smooth = None  # where the noise is known, slow noise included
+    if laws is not None and laws.of_residuals:
+        smooth = smooth_deviations(null.linearise(batch, inquiry.simulator))
+    factor = like.bayes_factor(left.test.p_value)
+    posterior = _average_probabilities(
+        inquiry, held, fits, evidence, bayes_factor=factor, masked=masked, smooth=smooth
+    )
+    return Attribution(
+        held,
+        hypotheses,
+        fits,
+        evidence,
+        posterior,
+        winner,
+        left,
+        like,
+        checked=checked,
+        left_out=tuple(left_out),
+    )
+
+
+def _average_probabilities(
+    inquiry: Inquiry,
+    held: Hypothesis,
+    fits: Mapping[str, ModelFit],
+    evidence: Mapping[str, float],
+    *,
+    smooth: SmoothDeviations | None,
+    **about: float,
+) -> dict[str, float]:
+    """Probabilities of all causes, averaged over what is known of the scale of the noise."""
+    kinds = {effect.name: effect.family for effect in inquiry.effects}
+    families = {h.name: kinds.get(part, part) for part, h in inquiry.longer(held).items()}
+    laws = inquiry.batch.noise_laws
+    log_scales = [0.0] if laws is None else laws.log_scales(_SCALES_OF_NOISE).tolist()
+    squares = {n: min(1e300, inquiry.batch.square(fit.prediction)) for n, fit in fits.items()}
+    each = []
+    for log_scale in log_scales:
+        # nats that a larger noise gives back of each squared residual
+        share = 0.5 * (1.0 - math.exp(-2.0 * log_scale))
+        scaled = {name: value + share * squares[name] for name, value in evidence.items()}
+        base = evidence[held.name] + share * min(squares.values())
+        deviations = smooth and (base + smooth.own, base + smooth.common)
+        beside = bool(held.parts)
+        each.append(
+            probabilities(scaled, families, held.name, beside=beside, smooth=deviations, **about)
+        )
+    return {name: sum(one[name] for one in each) / len(each) for name in each[0]}
+
+
+def _find_winner(
+    inquiry: Inquiry,
+    held: Hypothesis,
+    hypotheses: Mapping[str, Hypothesis],
+    fits: dict[str, ModelFit],
+    evidence: dict[str, float],
+    left_out: list[str],
+    sampled: Collection[str],
+    seed: int,
+) -> str:
+    """Continue the fit of the leader until the leader's has converged.
+
+    One that does not converge loses its evidence and is left out; evidence that was ``sampled`` is
+    kept.
     """
-
-    inquiry: Inquiry
-    before: Adequacy
-    held: Hypothesis
-    longer: dict[str, Hypothesis]
-    masked: float
-    fits: dict[str, ModelFit]
-    evidence: dict[str, float]
-    left_out: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        self.hypotheses = {h.name: h for h in (self.held, *self.longer.values())}
-        self.null = self.fits[self.held.name]
-        self.batch = self.held.seen(self.inquiry.batch)
-
-    def conclude(self, seed: int, progress: Progress = None) -> Attribution:
-        """What the evidence of the fits and the winner's adequacy say."""
-        inquiry = self.inquiry
-        self._find_winner((), seed, progress)
-        alike = {
-            name: value
-            for name, value in self.evidence.items()
-            if self.hypotheses[name].gels_differ is self.held.gels_differ
-        }
-        checked = check_evidence(
-            self.fits,
-            alike,
-            self.batch,
-            inquiry.simulator,
-            seed=child(seed, "evidence"),
-        )
-        if checked and all(found.reliable for found in checked.values()):
-            self.evidence |= {name: found.sampled for name, found in checked.items()}
-            self._find_winner(checked, child(seed, "ahead"), progress)
-        winner = self.hypotheses[self._leader()]
-        fit = self.fits[winner.name]
-        left = adequacy_test(
-            fit,
-            inquiry.effects,
-            winner.seen(inquiry.batch),
-            inquiry.simulator,
-            seed=child(seed, "adequacy"),
-        )
-        size = math.sqrt(max(2.0 * (self.null.cost - fit.cost), 0.0))
-        like = self.before.likeness(size, seed=seed)
-        bayes_factor = like.bayes_factor(left.test.p_value)
-        laws = self.batch.noise_laws
-        smooth = None  # where the noise is known, slow noise included
-        if laws is not None and laws.of_residuals:
-            smooth = smooth_deviations(self.null.linearise(self.batch, inquiry.simulator))
-        return Attribution(
-            self.held,
-            self.hypotheses,
-            self.fits,
-            self.evidence,
-            self._posterior(bayes_factor, smooth),
-            winner,
-            left,
-            like,
-            checked=checked,
-            left_out=self.left_out,
-        )
-
-    def _leader(self) -> str:
-        longer = [name for name in self.evidence if name != self.held.name]
-        return max(longer, key=lambda name: self.evidence[name])
-
-    def _find_winner(self, sampled: Collection[str], seed: int, progress: Progress) -> None:
-        """Continue the fit of the leader until the leader's has converged.
-
-        One that does not converge loses its evidence and is left out; evidence that was ``sampled``
-        is kept.
-        """
-        continued = set[str]()
-        while not self.fits[leader := self._leader()].certificate.converged:
-            if leader not in continued:
-                continued.add(leader)
-                self.fits[leader] = finish(
-                    self.fits[leader],
-                    self.hypotheses[leader].seen(self.inquiry.batch),
-                    self.inquiry.simulator,
-                    seed=child(seed, "finish"),
-                    progress=progress,
-                )
-                if leader not in sampled:
-                    self.evidence[leader] = laplace_evidence(self.fits[leader])
-            elif (
-                self.fits[leader].certificate.usable
-                or len(self.evidence) == 2
-                or len(self.left_out) >= _MOST_LEFT_OUT
-            ):
-                return
-            else:
-                self.left_out += (leader,)
-                del self.evidence[leader]
-
-    def _posterior(self, bayes_factor: float, smooth: SmoothDeviations | None) -> dict[str, float]:
-        """Probabilities of all causes, averaged over what is known of the scale of the noise."""
-        kinds = {effect.name: effect.family for effect in self.inquiry.effects}
-        families = {h.name: kinds.get(part, part) for part, h in self.longer.items()}
-        laws = self.batch.noise_laws
-        log_scales = [0.0] if laws is None else laws.log_scales(_SCALES_OF_NOISE).tolist()
-        data = self.inquiry.batch
-        squares = {n: min(1e300, data.square(fit.prediction)) for n, fit in self.fits.items()}
-        each = []
-        for log_scale in log_scales:
-            # nats that a larger noise gives back of each squared residual
-            share = 0.5 * (1.0 - math.exp(-2.0 * log_scale))
-            scaled = {name: value + share * squares[name] for name, value in self.evidence.items()}
-            base = self.evidence[self.held.name] + share * min(squares.values())
-            each.append(
-                probabilities(
-                    scaled,
-                    families,
-                    self.held.name,
-                    bayes_factor,
-                    beside=bool(self.held.parts),
-                    masked=self.masked,
-                    smooth=smooth and (base + smooth.own, base + smooth.common),
-                )
-            )
-        return {name: sum(one[name] for one in each) / len(each) for name in each[0]}
+    continued = set[str]()
+    while True:
+        leader = max((n for n in evidence if n != held.name), key=evidence.__getitem__)
+        certificate = fits[leader].certificate
+        if certificate.converged:
+            return leader
+        if leader not in continued:
+            continued.add(leader)
+            own = child(seed, "finish")
+            fits[leader] = finish(inquiry, fits[leader], hypotheses[leader], seed=own)
+            if leader not in sampled:
+                evidence[leader] = laplace_evidence(fits[leader])
+        elif certificate.usable or len(evidence) == 2 or len(left_out) >= _MOST_LEFT_OUT:
+            return leader
+        else:
+            left_out.append(leader)
+            del evidence[leader]

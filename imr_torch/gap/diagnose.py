@@ -9,15 +9,13 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 from imr_torch.assimilate import FIRST_KINK, ModelFit, Posterior
 from imr_torch.assimilate.spikes import frames_left_out, without_spoilt_frames
 from imr_torch.errors import InputDataError
-from imr_torch.gap.adequacy import Adequacy, adequacy_test
-from imr_torch.gap.attribute import Inquiry
-from imr_torch.gap.differing import fit_alone
-from imr_torch.gap.hypotheses import Hypothesis, fit_null, may_differ
+from imr_torch.gap.adequacy import Adequacy
+from imr_torch.gap.fits import fit_alone, fit_null
+from imr_torch.gap.hypotheses import Hypothesis, Inquiry, may_differ
 from imr_torch.gap.selection import Finding, WithinMisfit, fit_with_noise, select_causes
 from imr_torch.goodness.score import GapTest
 from imr_torch.labels import p_value
@@ -148,48 +146,50 @@ def diagnose(
     if estimate_noise:
         law = replace(law, kink=FIRST_KINK)
     batch = ExperimentBatch(tuple(experiments), law)
-    null = fit_null(base, batch, simulator, seed=child(seed, "null"), progress=progress)
+    inquiry = Inquiry(base, batch, simulator, effects, most=most, progress=progress)
+    nothing = Hypothesis(base)
+    null = fit_null(inquiry, seed=child(seed, "null"))
     if estimate_noise:
-        batch = without_spoilt_frames(Posterior(base, batch, simulator).neighbourhood(null.point))
-        null, batch = fit_with_noise(
-            Hypothesis(base), null, batch, simulator, seed=child(seed, "noise"), progress=progress
-        )
-    left = adequacy_test(null, effects, batch, simulator, seed=child(seed, "gap"))
+        near = Posterior(base, batch, simulator).neighbourhood(null.point)
+        inquiry = replace(inquiry, batch=without_spoilt_frames(near))
+        null, inquiry = fit_with_noise(inquiry, nothing, null, seed=child(seed, "noise"))
+    left = inquiry.test(null, nothing, seed=child(seed, "gap"))
     gap = left.test
     if progress:
         text = f"gap test: {p_value(gap.p_value)}, leading block {gap.blocks[0].name}"
         progress(ProgressLine(text, stage="effects"))
 
     reason = "No block of the gap test rejects the base model."
-    found = Finding("none", (), reason, Hypothesis(base), null)
+    found = Finding("none", (), reason, nothing, null)
     if not null.certificate.usable:
         reason = f"The base model's fit did not converge: {null.certificate}."
         found = replace(found, verdict="undecided", reason=reason)
     elif gap.found:
-        own = child(seed, "alone")
-        alone = fit_alone(null, batch, simulator, seed=own) if may_differ(batch) else ()
-        inquiry = Inquiry(base, effects, batch, simulator)
-        select = partial(select_causes, most=most, alone=alone, seed=seed, progress=progress)
-        found = select(inquiry, null, left)
+        if may_differ(inquiry.batch):
+            alone = fit_alone(inquiry, null, seed=child(seed, "alone"))
+            inquiry = replace(inquiry, alone=alone)
+        found = select_causes(inquiry, null, left, seed=seed)
         if found.within_misfit is not None and found.selected.parts:
             # beside what explains most, noise and minima are seen better
             own = child(seed, "noise beside parts")
+            silent = replace(inquiry, progress=None)
             held = found.selected
-            fit, seen = fit_with_noise(held, found.selected_fit, batch, simulator, seed=own)
-            over = (seen.sd(fit.prediction) / batch.sd(fit.prediction))[batch.mask].log().mean()
+            fit, beside = fit_with_noise(silent, held, found.selected_fit, seed=own)
+            sds = [one.batch.sd(fit.prediction) for one in (beside, inquiry)]
+            over = (sds[0] / sds[1])[inquiry.batch.mask].log().mean()
             tried = [step.winner.name for step in found.steps]
             again = abs(float(over)) > math.log(_OTHER_NOISE) or held.name not in tried
-            fit = fit_null(base, seen, simulator, seed=own) if again else null
+            fit = fit_null(beside, seed=own) if again else null
             if again and fit.certificate.usable:
-                batch = seen
                 null = fit
-                left = adequacy_test(null, effects, batch, simulator, seed=child(seed, "gap"))
-                found = select(replace(inquiry, batch=batch), null, left, nearest=found)
+                inquiry = replace(inquiry, batch=beside.batch)
+                left = inquiry.test(null, nothing, seed=child(seed, "gap"))
+                found = select_causes(inquiry, null, left, nearest=found, seed=seed)
     return GapReport(
         **vars(found),
-        batch=batch,
+        batch=inquiry.batch,
         null=null,
         left=left,
         seconds=time.perf_counter() - start,
-        spoilt=frames_left_out(experiments, batch.curves),
+        spoilt=frames_left_out(experiments, inquiry.batch.curves),
     )

@@ -1,32 +1,44 @@
-"""A diagnosis as JSON-ready values: all that its text, its page and its figures say and show.
+"""A diagnosis as JSON-ready values, and these in words: the verdict, then the questions in order.
 
-Text (:mod:`imr_torch.gap.text`), figures and page are made of this document alone, so a saved result
-says and shows the same again.
+Text, figures and page are made of this document alone, so a saved result says and shows the same
+again. The text is a template, as those of all results are. It is a list of sections, each a heading
+with sentences; the page shows the same list.
 """
 
 import math
-from collections.abc import Sequence
+from dataclasses import dataclass
 from statistics import median
 
 import torch
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.assimilate.dense import dense_curve
+from imr_torch.assimilate.spikes import spoilt_sentence
 from imr_torch.files import Document, drawn_numbers
+from imr_torch.float64 import zeros
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
-from imr_torch.gap.differing import gels_of
 from imr_torch.gap.examine import Parts
-from imr_torch.gap.hypotheses import Hypothesis
+from imr_torch.gap.hypotheses import EXPLAINS, GEL_SCATTER, Hypothesis, gels_of, in_words
 from imr_torch.gap.identity_design import NextDesign
 from imr_torch.gap.shrinkage import Shrinkage
-from imr_torch.gap.text import headline, next_step
+from imr_torch.gap.verdict import MEMBER, NONE, OTHER, SLOW_NOISE
 from imr_torch.goodness.phases import PHASES, phase_numbers
-from imr_torch.material import LIBRARY
-from imr_torch.material.model_belief import LEVELS
+from imr_torch.goodness.score import ADEQUATE
+from imr_torch.html import render
+from imr_torch.labels import p_value
+from imr_torch.material import LIBRARY, PARAMETERS
+from imr_torch.material.model_belief import intervals
 from imr_torch.observe import ExperimentBatch, noise_sentences
 from imr_torch.simulate import Simulator
 from imr_torch.unknown import Unknown
+
+_ENTRIES = {
+    GEL_SCATTER: "the gel differs between shots",
+    NONE: "nothing is missing",
+    OTHER: "an effect that the library does not hold",
+    SLOW_NOISE: "slow noise of the camera",
+}
 
 
 def to_json(
@@ -93,7 +105,10 @@ def to_json(
         },
         "seconds": report.seconds,
     }
-    return document | {"headline": headline(document), "next_step": next_step(document)}
+    return document | {
+        "headline": _fill_template("diagnosis_headline.txt", document),
+        "next_step": _fill_template("diagnosis_next_step.txt", document),
+    }
 
 
 def _causes(found: Attribution | None) -> Document:
@@ -125,8 +140,9 @@ def _values(report: GapReport, parts: Parts) -> Document:
     named = report.selected_fit if report.verdict in ("effect", "class") else None
     nearest = report.selected_fit if within and report.selected.parts else named
     error = parts.model_error
-    base = _intervals(within.own if within else report.null, report.base.names)
-    with_cause = nearest and _intervals(nearest, report.base.names)
+    base = intervals((within.own if within else report.null).posterior)
+    beside = nearest and intervals(nearest.posterior)
+    with_cause = beside and {name: beside[name] for name in base}
     return {
         "parameters": with_cause if named and with_cause else base,
         "widened": within is not None,
@@ -139,12 +155,6 @@ def _values(report: GapReport, parts: Parts) -> Document:
     }
 
 
-def _intervals(fit: ModelFit, names: Sequence[str]) -> dict[str, list[float]]:
-    """Parameter -> 5, 50, 95 %, SI."""
-    quantiles = fit.posterior.quantile(LEVELS)
-    return {name: quantiles[:, fit.prior.names.index(name)].tolist() for name in names}
-
-
 def _cause_values(report: GapReport, named: ModelFit) -> dict[str, dict[str, list[float]]]:
     """Named effect -> its parameters; members of a class that the leading fit does not hold have the
     values of their own fits.
@@ -155,7 +165,8 @@ def _cause_values(report: GapReport, named: ModelFit) -> dict[str, dict[str, lis
         names = LIBRARY[part].names if part in LIBRARY else ()
         holding = [fit for fit in fits if set(names) <= set(fit.prior.names)]
         if names and holding:
-            values[part] = _intervals(holding[0], names)
+            every = intervals(holding[0].posterior)
+            values[part] = {name: every[name] for name in names}
     return values
 
 
@@ -202,11 +213,9 @@ def _phase_residual(fit: ModelFit, batch: ExperimentBatch) -> list[list[float | 
     phase = phase_numbers(batch.times, fit.prediction, batch.mask)
     noise = batch.of_frames.sd(fit.prediction) / batch.counts.sqrt()
     square = torch.where(batch.mask, ((batch.mean - fit.prediction) / noise).square(), 0.0)
-    columns = []
-    for number in range(len(PHASES)):
-        inside = (phase == number) & batch.mask
-        columns.append((torch.where(inside, square, 0.0).sum(1) / inside.sum(1)).sqrt())
-    return [drawn_numbers(row) for row in torch.stack(columns, 1)]
+    none = zeros(len(square), len(PHASES))
+    total, frames = (none.scatter_add(1, phase, x) for x in (square, batch.mask.double()))
+    return [drawn_numbers(row) for row in (total / frames).sqrt()]
 
 
 def _curves(report: GapReport, simulator: Simulator | None) -> list[Document]:
@@ -235,7 +244,6 @@ def _curves(report: GapReport, simulator: Simulator | None) -> list[Document]:
                 "t_star": batch.times[e][seen].tolist(),
                 "R_star": batch.mean[e][seen].tolist(),
                 "sd": noise[e][seen].tolist(),
-                "base": None,
                 "selected": None,
                 **{name: fit.prediction[e][seen].tolist() for name, (_, fit) in fits.items()},
                 "drawn": {
@@ -286,3 +294,123 @@ def _design(found: NextDesign) -> Document:
             "rest_radius_sd": nuisance.rest_radius,
         },
     }
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading and its sentences.
+
+    Args:
+        heading: the question.
+        sentences: the answer.
+        folded: whether there is nothing to say, or only details, so that a page folds it away.
+    """
+
+    heading: str
+    sentences: tuple[str, ...]
+    folded: bool = False
+
+
+def title(name: str) -> str:
+    """A cause in plain words, its code name behind: of an effect, of several joined by ``+``, or
+    another entry of the posterior.
+
+    >>> from imr_torch.gap.document import title
+    >>> title("clock"), title("other")
+    ('frame rate or pixel size is off (clock)', 'an effect that the library does not hold')
+    """
+    said = [
+        f"{LIBRARY[part].meaning} ({part})" if part in LIBRARY else _ENTRIES.get(part, part)
+        for part in name.split("+")
+    ]
+    return " and ".join(said)
+
+
+def shown(parameter: str, value: float) -> str:
+    """A value in display units.
+
+    >>> from imr_torch.gap.document import shown
+    >>> shown("G", 8310.0)
+    '8.31 kPa'
+    """
+    return PARAMETERS[parameter].interval(value, value, value).split(" (")[0]
+
+
+def list_names() -> Document:
+    """What templates of a diagnosis may use beside the document: words for its numbers."""
+    return {
+        "parameters": PARAMETERS,
+        "entries": _ENTRIES,
+        "titles": lambda names: list(map(title, names)),
+        "shown": shown,
+        "in_words": in_words,
+        "hidden_row": hidden_row,
+        "sections": sections,
+        "p_value": p_value,
+        "spoilt_sentence": spoilt_sentence,
+        "adequate": ADEQUATE,
+        "explains": EXPLAINS,
+        "member": MEMBER,
+    }
+
+
+def _fill_template(name: str, document: Document) -> str:
+    return render(name, document=document, **list_names()).strip("\n")
+
+
+def describe(document: Document) -> str:
+    """The diagnosis as text.
+
+    Args:
+        document: of the diagnosis (:func:`imr_torch.gap.to_json`).
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator
+    >>> from imr_torch.gap import describe, diagnose, to_json
+    >>> from imr_torch.material import PARAMETERS, library
+    >>> from imr_torch.observe import SimulatedLaboratory
+    >>> laboratory = SimulatedLaboratory(PolytropicSimulator(), PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=5)
+    >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=0)
+    >>> report = diagnose([shot], effects=library(["sound_speed"]), simulator=PolytropicSimulator())
+    >>> describe(to_json(report)).splitlines()[1].strip()
+    'No gap was found: the base model describes these data within their noise.'
+    """
+    return _fill_template("diagnose.txt", document)
+
+
+def sections(document: Document) -> list[Section]:
+    """The diagnosis as sections, in the order of the questions."""
+    folded = {
+        "The record before any gel": True,
+        "Where does it lie?": not document["examined"],
+        "Which effect causes it?": document["posterior"] is None,
+        "What is missing?": document.get("missing") is None,
+        "How far does it shrink on unseen curves?": document["shrinkage"] is None,
+        "What does it do to the parameters?": not (document["parameter_shift"] or document["gels"]),
+        "What to measure next?": document["next_design"] is None,
+        "Have the fits converged?": document["converged"],
+        "The medium": True,
+    }
+    blocks = map(str.splitlines, describe(document).split("\n\n")[:-1])
+    return [
+        Section(heading, tuple(map(str.strip, lines)), folded.get(heading, False))
+        for heading, *lines in blocks
+    ]
+
+
+def hidden_row(row: Document) -> tuple[str, str, str]:
+    """Title of an effect, the size that would have been found with 90 %, and what that size (where
+    there is none, its usual size), unseen, would move each parameter by.
+
+    Args:
+        row: an entry of ``hidden``.
+
+    >>> from imr_torch.gap.document import hidden_row
+    >>> hidden_row({"effect": "permanent_set", "size": None, "shift": {"G": -0.061}})[1:]
+    ('none of a usual size', 'G by up to 6.1 %')
+    """
+    name = row["effect"]
+    size = row["size"]
+    moves = ", ".join(f"{p} by up to {100 * abs(x):.2g} %" for p, x in row["shift"].items())
+    found = "none of a usual size" if size is None else shown(LIBRARY[name].names[0], size)
+    return title(name), found, moves or "nothing"

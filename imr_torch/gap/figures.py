@@ -5,7 +5,6 @@ Colours are told apart by colour-blind readers, and what matters is also written
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -26,8 +25,8 @@ from imr_torch.drawing import (
     name_figure,
     new_axes,
 )
+from imr_torch.files import Document
 from imr_torch.gap.hypotheses import in_words
-from imr_torch.gap.text import Document
 from imr_torch.goodness.score import LEVEL
 from imr_torch.labels import file_name, plain
 from imr_torch.material import PARAMETERS
@@ -97,7 +96,7 @@ def _bars(
     return ax
 
 
-def curve_figure(curve: Mapping[str, Any], selected: str) -> Figure:
+def curve_figure(curve: Document, selected: str) -> Figure:
     """One mean measured curve with the base model and the model with what was selected, and
     residuals below.
 
@@ -143,7 +142,7 @@ def plot_phase_residual(document: Document) -> Axes:
     return ax
 
 
-def plot_tests(tests: Sequence[Mapping[str, Any]]) -> Axes:
+def plot_tests(tests: Sequence[Document]) -> Axes:
     """P-values of the blocks of a gap test, smallest first."""
     shown = tests[:_BARS]
     strength = [_strength(row["p_value"]) for row in shown]
@@ -158,7 +157,7 @@ def plot_tests(tests: Sequence[Mapping[str, Any]]) -> Axes:
     return ax
 
 
-def plot_onset(found: Mapping[str, Any]) -> Axes:
+def plot_onset(found: Document) -> Axes:
     """P-value of a refit to the frames up to each moment.
 
     The first below the level is the first detection.
@@ -202,7 +201,7 @@ def plot_explained(explained: Mapping[str, float], unconverged: Sequence[str] = 
     return ax
 
 
-def plot_missing_pressure(shots: Sequence[Mapping[str, Any]], *, most: int = 3) -> Axes:
+def plot_missing_pressure(shots: Sequence[Document], *, most: int = 3) -> Axes:
     """The missing pressure of each shot over its time, with a 90 % band; linear up to 10 kPa,
     logarithmic beyond.
     """
@@ -219,7 +218,7 @@ def plot_missing_pressure(shots: Sequence[Mapping[str, Any]], *, most: int = 3) 
     return ax
 
 
-def plot_missing_states(shots: Sequence[Mapping[str, Any]]) -> Axes:
+def plot_missing_states(shots: Sequence[Document]) -> Axes:
     """The missing pressure over stretch and strain rate, where the bubbles went.
 
     Grey where it is less than 1.645 of its standard deviations: there the data do not say.
@@ -239,7 +238,7 @@ def plot_missing_states(shots: Sequence[Mapping[str, Any]]) -> Axes:
     return ax
 
 
-def plot_shrinkage(found: Mapping[str, Any]) -> Axes:
+def plot_shrinkage(found: Document) -> Axes:
     """Part of the gap on unseen curves that is gone, beside what random effects close."""
     rows = {"all frames": found["share"], "after the first\nrebound": found["later"]}
     rows = {name: share for name, share in rows.items() if share is not None}

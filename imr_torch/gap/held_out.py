@@ -9,29 +9,25 @@ collapse makes several minima.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit, Point, Posterior, SearchOptions
 from imr_torch.assimilate.basins import deeper_nuisances
 from imr_torch.assimilate.map_fit import assimilate_model
 from imr_torch.assimilate.slow_noise import BesideSlowNoise
-from imr_torch.float64 import randn
+from imr_torch.float64 import eye, randn, zeros
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
-from imr_torch.gap.hypotheses import (
-    EXPLAINS,
-    GEL_SCATTER,
-    Hypothesis,
-    laplace_evidence,
-)
+from imr_torch.gap.hypotheses import EXPLAINS, GEL_SCATTER, Hypothesis, laplace_evidence
 from imr_torch.gap.selection import evidence_beside_slow
 from imr_torch.goodness.linear import Linearisation, linearise_fit, whiten_rows
+from imr_torch.goodness.phases import PHASES, noise_shares, phase_clock, phase_numbers
 from imr_torch.observe import NUISANCES, ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
@@ -105,6 +101,61 @@ class Judged:
     training: Linearisation
     beside: BesideSlowNoise | None = None
 
+    @cached_property
+    def projector(self) -> Float[Tensor, "frames frames"]:
+        """Projector beside all that is the curve's own under either model."""
+        directions = torch.cat((self.base.by_nuisance, self.effect.by_nuisance), 1)
+        basis, size, _ = torch.linalg.svd(directions, full_matrices=False)
+        kept = basis[:, size > 1e-6 * size[:1]]
+        return eye(len(directions)) - kept @ kept.mT
+
+    @property
+    def batch(self) -> ExperimentBatch:
+        """The design alone."""
+        return self.base.line.batch
+
+    @cached_property
+    def phase(self) -> Int[Tensor, "frames"]:
+        """Number of the phase of each frame."""
+        return phase_numbers(self.batch.times, self.batch.mean, self.batch.mask)[0]
+
+    @cached_property
+    def share(self) -> FrameValues:
+        """How much of the law's variance counts in each frame."""
+        squares = [own.residual.square() for own in (self.base, self.effect)]
+        return noise_shares(squares, self.phase)
+
+    def excess(self, residual: FrameValues) -> FrameValues:
+        """Squares of a residual beyond noise, in single-shot variances."""
+        expected = self.share * self.projector.square().sum(1)
+        return ((self.projector @ residual).square() - expected) / self.batch.counts[0]
+
+    def excess_by_phase(self) -> Float[Tensor, "2 phases"]:
+        """The same of both predictions, by phase."""
+        both = (self.base, self.effect)
+        return torch.stack([self._by_phase(self.excess(own.residual)) for own in both])
+
+    def later_by_phase(self, turn: float) -> Float[Tensor, "2 phases"] | None:
+        """The same of both over the frames after a reading of the phase clock, with what is the
+        curve's own fitted before it; None where there are no such frames or only such.
+        """
+        early = phase_clock(self.batch.times, self.batch.mean, self.batch.mask)[0] <= turn
+        if not early.any() or early.all():
+            return None
+        return torch.stack([self._later(own, early) for own in (self.base, self.effect)])
+
+    def _later(self, own: HeldOut, early: Tensor) -> Tensor:
+        centred = own.residual + own.by_nuisance @ own.nuisances
+        before = own.by_nuisance[early]
+        precision = eye(before.shape[1]) + before.mT @ before
+        fitted = torch.linalg.solve(precision, before.mT @ centred[early])
+        spread = (own.by_nuisance @ torch.linalg.inv(precision) * own.by_nuisance).sum(1)
+        square = (centred - own.by_nuisance @ fitted).square() - self.share - spread
+        return self._by_phase(torch.where(early, 0.0, square / self.batch.counts[0]))
+
+    def _by_phase(self, squares: Tensor) -> Tensor:
+        return zeros(len(PHASES)).index_add(0, self.phase, squares)
+
 
 def judge_designs(
     report: GapReport,
@@ -128,30 +179,27 @@ def judge_designs(
     Returns:
         The designs that could be simulated; none with fewer than two designs and none unseen.
     """
-    batch = report.trained.batch
-    count = len(batch.experiments)
+    count = len(report.batch.experiments)
     if unseen is None and count < 2:
         return []
-    tasks = []  # a selection, the data that it was trained on, which, and what judges it
-    if unseen is not None:
-        base = _base_of(report, report.selected.gels_differ)
-        every = list(range(count))
-        tasks.append(((report.selected, report.selected_fit, *base), batch, every, unseen))
-    for number, out in enumerate(default_folds(count) if unseen is None else ()):
-        kept = [i for i in range(count) if i not in out]
-        training = _part(batch, kept)
-        found = _select_again(report, training, kept, simulator, child(seed, "fold", number))
-        tasks.append((found, training, kept, _part(report.batch, out)))
-        if progress:
-            labels = ", ".join(batch.experiments[i].label for i in out)
-            progress(f"without {labels}: {found[0].name}")
     judged = []
-    for (hypothesis, fit, base, base_fit), training, kept, designs in tasks:
-        line = linearise_fit(base_fit, base.seen(training), simulator)
+    for number, out in enumerate(default_folds(count) if unseen is None else [[]]):
+        kept = [i for i in range(count) if i not in out]
+        fold = _Fold(report, kept, simulator, child(seed, "fold", number))
+        hypothesis = report.selected
+        fit = report.selected_fit
+        base, base_fit = fold.base_of(hypothesis)
+        designs = unseen
+        if designs is None:
+            designs = _part(report.batch, out)
+            hypothesis, fit, base, base_fit = fold.select_again()
+            if progress:
+                labels = ", ".join(one.label for one in designs.experiments)
+                progress(f"without {labels}: {hypothesis.name}")
+        line = linearise_fit(base_fit, base.seen(fold.training), simulator)
         beside = None
         if report.within_misfit is not None:
-            seen = base.seen(_part(report.batch, kept))
-            beside = BesideSlowNoise.about(base_fit.linearise(seen, simulator))
+            beside = BesideSlowNoise.about(base_fit.linearise(base.seen(fold.data), simulator))
         for place in range(len(designs.experiments)):
             design = _part(designs, [place])
             pair = Judged(
@@ -165,103 +213,124 @@ def judge_designs(
     return judged
 
 
-def _base_of(report: GapReport, differ: bool) -> tuple[Hypothesis, ModelFit]:
-    """The base model and its fit, with gels that differ where a selection holds them."""
-    base = Hypothesis(report.base)
-    if not differ:
-        return base, report.trained.null
-    return base.differing(), report.trained.steps[0].fits[GEL_SCATTER]
-
-
-def _select_again(
-    report: GapReport,
-    training: ExperimentBatch,
-    kept: Sequence[int],
-    simulator: Simulator,
-    seed: int,
-) -> tuple[Hypothesis, ModelFit, Hypothesis, ModelFit]:
-    """What a selection holds without some designs, its fit, and the base model with its fit.
-
-    Each step of the diagnosis is made again while what is held is what it was there; its candidates
-    are the hypotheses whose fits to all designs suit the others best.
-    """
-
-    def beside_slow(fit: ModelFit, hypothesis: Hypothesis, **own: int) -> float:
-        seen = hypothesis.seen(_part(report.batch, kept))
-        return evidence_beside_slow(fit, seen, simulator, **own)
-
-    def on_kept(step: Attribution, name: str, *, slow: bool) -> float:
-        """Evidence of a fit to all designs on those that are kept."""
-        fit = step.fits[name]
-        hypothesis = step.hypotheses[name]
-        if slow:
-            fit = replace(fit, nuisances=fit.nuisances[list(kept)])
-            return beside_slow(fit, hypothesis, steps=0)
-        return _evidence_on_some(fit, hypothesis.seen(training), kept)
-
-    held = Hypothesis(report.base)
-    fits = _train({held.name: (held, report.trained.null)}, training, kept, simulator, seed)
-    for step in report.trained.steps:
-        if step.held.name != held.name:
-            break
-        names = [name for name in step.log_evidence if name != held.name]
-        for slow in (False,) if report.within_misfit is None else (True, False):
-            tried = names
-            if slow:  # as in the selection, which leaves out that gels differ
-                tried = [n for n in names if step.hypotheses[n].gels_differ is held.gels_differ]
-            if not tried:
-                continue
-            ranked = sorted(tried, key=partial(on_kept, step, slow=slow), reverse=True)
-            candidates = {n: (step.hypotheses[n], step.fits[n]) for n in ranked[:_CANDIDATES]}
-            fits |= _train(candidates, training, kept, simulator, child(seed, held.name))
-            found = {
-                name: beside_slow(fits[name], h) if slow else laplace_evidence(fits[name])
-                for name, (h, _) in ({held.name: (held, None)} | candidates).items()
-            }
-            without = found.pop(held.name)
-            best = max(found, key=lambda name: found[name])
-            if found[best] >= without + EXPLAINS:
-                held = step.hypotheses[best]
-                break
-        else:
-            break
-    base, near = _base_of(report, held.gels_differ or report.selected.gels_differ)
-    if base.name not in fits:
-        fits |= _train({base.name: (base, near)}, training, kept, simulator, seed)
-    return held, fits[held.name], base, fits[base.name]
-
-
-def _evidence_on_some(fit: ModelFit, training: ExperimentBatch, kept: Sequence[int]) -> float:
-    """Evidence of a fit to all designs on those that are kept, without a bubble."""
-    likelihood = training.log_likelihood(fit.prediction[list(kept), : training.times.shape[1]])
-    prior = fit.mean.square().sum() + fit.nuisances[list(kept)].square().sum()
-    width = fit.chol.diagonal().log().sum()
-    return float((likelihood.sum() - 0.5 * prior + width).nan_to_num(nan=-math.inf))
-
-
 def _part(batch: ExperimentBatch, chosen: Sequence[int]) -> ExperimentBatch:
     return replace(batch, experiments=tuple(batch.experiments[i] for i in chosen))
 
 
-def _train(
-    known: Mapping[str, tuple[Hypothesis, ModelFit]],
-    training: ExperimentBatch,
-    kept: Sequence[int],
-    simulator: Simulator,
-    seed: int,
-) -> dict[str, ModelFit]:
-    """Fits of hypotheses to the training designs, each from starts near its fit to all designs."""
-    source = generator(seed)
-    fits = {}
-    for name, (hypothesis, fit) in known.items():
-        beside = _APART * randn(_OPTIONS.starts - 1, len(fit.mean), generator=source)
-        fits[name] = assimilate_model(
-            Posterior(fit.prior, hypothesis.seen(training), simulator),
-            Point(torch.cat((fit.mean[None], fit.mean + beside)), fit.nuisances[list(kept)]),
-            seed=seed,
-            options=_OPTIONS,
-        )
-    return fits
+@dataclass(frozen=True)
+class _Fold:
+    """A diagnosis without some of its designs.
+
+    Args:
+        report: the diagnosis.
+        kept: numbers of the designs that are fitted.
+        simulator: makes the bubbles.
+        seed: of the starts.
+    """
+
+    report: GapReport
+    kept: list[int]
+    simulator: Simulator
+    seed: int
+
+    @cached_property
+    def data(self) -> ExperimentBatch:
+        """What is fitted, with the noise of single frames."""
+        return _part(self.report.batch, self.kept)
+
+    @cached_property
+    def training(self) -> ExperimentBatch:
+        """The same with the noise by which parts were selected."""
+        return _part(self.report.trained.batch, self.kept)
+
+    def base_of(self, selected: Hypothesis) -> tuple[Hypothesis, ModelFit]:
+        """The base model and its fit to all designs, with gels that differ where a selection holds
+        them.
+        """
+        base = Hypothesis(self.report.base)
+        if not selected.gels_differ:
+            return base, self.report.trained.null
+        return base.differing(), self.report.trained.steps[0].fits[GEL_SCATTER]
+
+    def select_again(self) -> tuple[Hypothesis, ModelFit, Hypothesis, ModelFit]:
+        """What a selection holds without some designs, its fit, and the base model with its fit.
+
+        Each step of the diagnosis is made again while what is held is what it was there; its
+        candidates are the hypotheses whose fits to all designs suit the others best.
+        """
+        held = Hypothesis(self.report.base)
+        fits = self._train([(held, self.report.trained.null)], self.seed)
+        for step in self.report.trained.steps:
+            if step.held.name != held.name:
+                break
+            added = None
+            if self.report.within_misfit is not None:
+                added = self._add_part(step, fits, slow=True)
+            added = added or self._add_part(step, fits, slow=False)
+            if added is None:
+                break
+            held = added
+        base, near = self.base_of(held if held.gels_differ else self.report.selected)
+        if base.name not in fits:
+            fits |= self._train([(base, near)], self.seed)
+        return held, fits[held.name], base, fits[base.name]
+
+    def _add_part(
+        self, step: Attribution, fits: dict[str, ModelFit], *, slow: bool
+    ) -> Hypothesis | None:
+        """What a step selects, beside slow noise or by the noise of the training; None where
+        nothing explains enough. Its fits are added to those given.
+        """
+
+        def evidence(name: str, fit: ModelFit, **own: int) -> float:
+            if not slow:
+                return laplace_evidence(fit)
+            seen = step.hypotheses[name].seen(self.data)
+            return evidence_beside_slow(fit, seen, self.simulator, **own)
+
+        def on_kept(name: str) -> float:
+            """Evidence of a fit to all designs on those that are kept."""
+            fit = step.fits[name]
+            if not slow:
+                return self._evidence_of_some(fit, step.hypotheses[name])
+            return evidence(name, replace(fit, nuisances=fit.nuisances[self.kept]), steps=0)
+
+        held = step.held
+        tried = [name for name in step.log_evidence if name != held.name]
+        if slow:  # as in the selection, which leaves out that gels differ
+            tried = [n for n in tried if step.hypotheses[n].gels_differ is held.gels_differ]
+        if not tried:
+            return None
+        ranked = sorted(tried, key=on_kept, reverse=True)[:_CANDIDATES]
+        known = [(step.hypotheses[name], step.fits[name]) for name in ranked]
+        fits |= self._train(known, child(self.seed, held.name))
+        found = {name: evidence(name, fits[name]) for name in (held.name, *ranked)}
+        best = max(ranked, key=found.__getitem__)
+        return step.hypotheses[best] if found[best] >= found[held.name] + EXPLAINS else None
+
+    def _evidence_of_some(self, fit: ModelFit, hypothesis: Hypothesis) -> float:
+        """Evidence of a fit to all designs on those that are kept, without a bubble."""
+        batch = hypothesis.seen(self.training)
+        likelihood = batch.log_likelihood(fit.prediction[self.kept, : batch.times.shape[1]])
+        prior = fit.mean.square().sum() + fit.nuisances[self.kept].square().sum()
+        width = fit.chol.diagonal().log().sum()
+        return float((likelihood.sum() - 0.5 * prior + width).nan_to_num(nan=-math.inf))
+
+    def _train(
+        self, known: Sequence[tuple[Hypothesis, ModelFit]], seed: int
+    ) -> dict[str, ModelFit]:
+        """Fits of hypotheses to the training designs, each from starts near its fit to all."""
+        source = generator(seed)
+        fits = {}
+        for hypothesis, fit in known:
+            beside = _APART * randn(_OPTIONS.starts - 1, len(fit.mean), generator=source)
+            fits[hypothesis.name] = assimilate_model(
+                Posterior(fit.prior, hypothesis.seen(self.training), self.simulator),
+                Point(torch.cat((fit.mean[None], fit.mean + beside)), fit.nuisances[self.kept]),
+                seed=seed,
+                options=_OPTIONS,
+            )
+        return fits
 
 
 def held_out(

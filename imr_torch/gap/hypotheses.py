@@ -1,49 +1,33 @@
-"""Hypotheses of a diagnosis and their fits: the base model alone, with effects freed, or with a gel
-of its own in each curve.
+"""Hypotheses of a diagnosis: the base model alone, with effects freed, or with a gel of its own in
+each curve.
 
 A hypothesis is the base model's prior with the effects' priors beside it, so everything that fits,
 weighs or designs for models does so for causes. Gels that differ are further nuisances of the
-experiments (``ExperimentBatch.between``). Fits of effects start at the null fit, with the effect at
-each of its starts. Coarse bubbles (:func:`imr_torch.simulate.coarser`) lead the way to each minimum
-and leave out what is far behind; every fit that counts ends with the simulator that was given.
+experiments (``ExperimentBatch.between``).
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from imr_torch.assimilate import Assimilation, ModelFit, Point, Posterior, SearchOptions, assimilate
-from imr_torch.assimilate.fit import NEARLY, ONE_MINIMUM, PROMISED
-from imr_torch.assimilate.starts import draw_perturbation
+from imr_torch.assimilate import ModelFit
 from imr_torch.float64 import tensor
-from imr_torch.material import Belief, Effect, ModelBelief
-from imr_torch.material.belief import even_belief
+from imr_torch.gap.adequacy import Adequacy, adequacy_test
+from imr_torch.material import Effect, ModelBelief
 from imr_torch.material.model_belief import add_parameters
 from imr_torch.observe import NUISANCES, ExperimentBatch
 from imr_torch.population import SCALE
-from imr_torch.random import child, generator
-from imr_torch.simulate import Simulator, coarser
+from imr_torch.simulate import Simulator
 from imr_torch.types import Progress
 
 EXPLAINS = 3.0
 """Nats that an effect must explain to count as more than nothing."""
 GEL_SCATTER = "gel_scatter"
 """Name of the hypothesis that the gel differs between experiments."""
-LEADING = 6
-"""Fits of an attribution that get a second start by the simulator's own bubbles."""
-
 _GEL_APART = 0.25  # prior standard deviations between the starts of a fit that frees no effect
-_MANY = 6  # starts where fewer disagree
-_AGAIN = 3  # starts beside a fit whose own disagree
-_ROUGHLY = 0.03  # gradient at which a fit by coarse bubbles ends
-# chi squared per degree of freedom of a fit whose collapses may lie on the wrong side of a frame
-_FAR = 1.5
-_TOO_COARSE = 200.0  # nats of error of the cost beyond which coarse bubbles lead nowhere
 
 
 @dataclass(frozen=True)
@@ -123,6 +107,46 @@ class Hypothesis:
         return torch.stack(rows)
 
 
+@dataclass(frozen=True)
+class Inquiry:
+    """What is asked of data: whether a base model is enough, and what it may lack.
+
+    Args:
+        base: the base model's prior.
+        batch: the data.
+        simulator: makes the bubbles.
+        effects: the library to choose from.
+        alone: the base model's fit of each experiment by itself, from which gels that differ start;
+            without them they are not among the causes.
+        most: parts that are selected at most.
+        progress: called with one line per step.
+    """
+
+    base: ModelBelief
+    batch: ExperimentBatch
+    simulator: Simulator
+    effects: tuple[Effect, ...] = ()
+    alone: Sequence[ModelFit] = ()
+    most: int = 2
+    progress: Progress = None
+
+    def longer(self, held: Hypothesis) -> dict[str, Hypothesis]:
+        """What a hypothesis can be made by one part more -> that hypothesis.
+
+        An effect that shares no parameter with those held, or gels that differ, where shots can
+        show that.
+        """
+        taken = {name for effect in held.effects for name in effect.names}
+        found = {e.name: held.beside(e) for e in self.effects if not taken & set(e.names)}
+        if self.alone and not held.gels_differ:
+            found[GEL_SCATTER] = held.differing()
+        return found
+
+    def test(self, fit: ModelFit, held: Hypothesis, *, seed: int) -> Adequacy:
+        """The gap test at the fit of a hypothesis."""
+        return adequacy_test(fit, self.effects, held.seen(self.batch), self.simulator, seed=seed)
+
+
 def in_words(part: str) -> str:
     """What a report calls a part of a hypothesis: an effect by its name.
 
@@ -149,258 +173,6 @@ def scatters(base: ModelBelief) -> dict[str, float]:
     return dict.fromkeys(base.of_gel, SCALE)
 
 
-def fit_null(
-    base: ModelBelief,
-    batch: ExperimentBatch,
-    simulator: Simulator,
-    *,
-    seed: int,
-    near: ModelFit | None = None,
-    progress: Progress = None,
-) -> ModelFit:
-    """The base model with nuisances, from several starts, with its certificate, which the caller
-    must check.
-
-    A fit that ran out of iterations, as Gauss-Newton may where a large gap leaves large residuals,
-    is taken up again; where converged starts disagree, more of them are made. A fit of the same
-    curves with other noise is a start, where it is given.
-    """
-    options = SearchOptions()
-    search = partial(
-        assimilate, even_belief((base,)), batch, simulator, warn=False, progress=progress
-    )
-    if near is not None:
-        moved = search(seed=seed, options=options, near=as_assimilation(near, batch)).fits[0]
-        if moved.certificate.converged:
-            return moved
-    fit = search(seed=seed, options=options).fits[0]
-    if fit.certificate.gradient >= options.gradient:
-        fit = finish(fit, batch, simulator, seed=child(seed, "finish"), progress=progress)
-    if fit.certificate.converged or fit.certificate.gradient >= options.gradient:
-        return fit
-    many = SearchOptions(starts=_MANY)
-    return lower(fit, search(seed=child(seed, "again"), options=many).fits[0], many)
-
-
-def lower(one: ModelFit, other: ModelFit, options: SearchOptions) -> ModelFit:
-    """The fit that is or may become the lower, certified also if the other search found that
-    minimum too.
-    """
-    low, high = sorted((one, other), key=_reach)
-    return _certified(low, min(low.certificate.agreement, abs(high.cost - low.cost)), options)
-
-
-def _reach(fit: ModelFit) -> float:
-    """The cost that a fit has or may get down to."""
-    return fit.cost - promised(fit) if math.isfinite(fit.certificate.gradient) else fit.cost
-
-
-def _certified(fit: ModelFit, agreement: float, options: SearchOptions) -> ModelFit:
-    """A fit with a certificate that counts agreement with other starts than its own, nats."""
-    converged = fit.certificate.gradient < options.gradient and agreement < options.agreement
-    return replace(
-        fit, certificate=replace(fit.certificate, agreement=agreement, converged=converged)
-    )
-
-
-def fit_hypotheses(
-    hypotheses: Sequence[Hypothesis],
-    null: ModelFit,
-    batch: ExperimentBatch,
-    simulator: Simulator,
-    *,
-    seed: int,
-    starts: Mapping[str, Sequence[Sequence[float]]] | None = None,
-    options: SearchOptions | None = None,
-    twice: int = LEADING,
-    progress: Progress = None,
-) -> dict[str, ModelFit]:
-    """Fit hypotheses that have the same nuisances in one batch, from the null fit.
-
-    Where the gap is large, the null fit's collapses lie on the wrong side of frames, each a local
-    minimum. Hypotheses are then also fitted by searches that begin without the frames next to
-    collapses (:mod:`imr_torch.assimilate.multistart`), and the lower of the two fits counts, or one
-    that has not converged and may get lower.
-
-    Args:
-        hypotheses: what to fit.
-        null: the fit without each one's last effect.
-        batch: the data.
-        simulator: makes the bubbles.
-        seed: of the search.
-        starts: name of a last effect -> values from which to start it; its own starts where not
-            given.
-        options: how to search.
-        twice: fits of lowest cost by coarse bubbles that get a second start by the simulator's own;
-            with 0 none is certified.
-        progress: called with one line per iteration.
-
-    Returns:
-        Name of the hypothesis -> fit, whose certificate the caller must check.
-    """
-    if not hypotheses:
-        return {}
-    options = options or SearchOptions()
-    batch = hypotheses[0].seen(batch)
-    search = partial(
-        _descend,
-        even_belief(h.belief for h in hypotheses),
-        batch,
-        simulator,
-        seed=seed,
-        starts=[h.starts(null, starts or {}) for h in hypotheses],
-        nuisances=[deviating(null, h) for h in hypotheses],
-        twice=twice,
-        progress=progress,
-    )
-    found = search(options=options)
-    if overdispersion(null, batch) > _FAR:
-        lowest = min(options.rival, *(fit.cost for fit in found))
-        masked = search(options=replace(options, mask_collapses=True, rival=lowest))
-        found = [lower(*pair, options) for pair in zip(found, masked, strict=True)]
-    return {h.name: fit for h, fit in zip(hypotheses, found, strict=True)}
-
-
-def deviating(fit: ModelFit, hypothesis: Hypothesis) -> Tensor:
-    """Nuisances ``E x w`` of a fit for another hypothesis: gels that it does not let differ begin
-    alike.
-    """
-    known = fit.nuisances[:, : len(NUISANCES)]
-    if not hypothesis.gels_differ:
-        return known
-    if fit.nuisances.shape[1] > len(NUISANCES):
-        return fit.nuisances
-    return torch.nn.functional.pad(known, (0, len(scatters(hypothesis.base))))
-
-
-def _descend(
-    belief: Belief,
-    batch: ExperimentBatch,
-    simulator: Simulator,
-    *,
-    seed: int,
-    options: SearchOptions,
-    starts: Sequence[Tensor],
-    nuisances: Sequence[Tensor],
-    twice: int,
-    progress: Progress,
-) -> list[ModelFit]:
-    """Fits by coarse bubbles, then, of those not far behind, by the simulator's own from where
-    these ended.
-
-    The first of these, so many as are to be fitted ``twice``, get a second start beside that. The
-    others have the agreement of their starts by coarse bubbles in their certificates, and none
-    where no fit is made twice. A fit that was left behind has the cost that the simulator gives it
-    where it ended, and has not converged.
-    """
-    search = partial(assimilate, seed=seed, warn=False, progress=progress)
-    from_starts = partial(search, starts=starts, nuisances=nuisances)
-    coarse = coarser(simulator)
-    same = coarse is simulator
-    error = 0.0 if same else _coarse_error(belief, batch, simulator, starts[0][:1], nuisances[0])
-    if same or error > _TOO_COARSE:
-        return list(from_starts(belief, batch, simulator, options=options).fits)
-    reach = None if options.drop_behind is None else options.drop_behind + error
-    rough = replace(options, drop_behind=reach, gradient=max(options.gradient, _ROUGHLY))
-    found = from_starts(belief, batch, coarse, options=rough).fits
-    fits = [_seen_by(fit, batch, simulator) for fit in found]
-    limit = min(*(fit.cost for fit in fits), options.rival) + (math.inf if reach is None else reach)
-    near = [i for i, fit in enumerate(fits) if fit.cost - promised(fit) <= limit]
-    near.sort(key=lambda i: fits[i].cost)
-    own = replace(options, starts=2, mask_collapses=False)
-    for places, again in ((near[:twice], True), (near[twice:], False)):
-        if not places:
-            continue
-        chosen = tuple(fits[i] for i in places)
-        kept = even_belief(fit.prior for fit in chosen)
-        if again:
-            near_them = Assimilation(kept, batch, chosen)
-            ended = search(kept, batch, simulator, options=own, near=near_them).fits
-        else:
-            gels = [fit.mean[None] for fit in chosen]
-            moved = [fit.nuisances for fit in chosen]
-            ended = search(kept, batch, simulator, options=own, starts=gels, nuisances=moved).fits
-        for i, fit in zip(places, ended, strict=True):
-            agreement = found[i].certificate.agreement
-            if again:
-                agreement = max(agreement, fit.certificate.agreement)
-            fits[i] = _certified(fit, agreement, own) if twice else fit
-        own = replace(own, rival=min(options.rival, *(fits[i].cost for i in places)))
-    return fits
-
-
-def _coarse_error(
-    belief: Belief, batch: ExperimentBatch, simulator: Simulator, gel: Tensor, nuisances: Tensor
-) -> float:
-    """Error of the cost by coarse bubbles where the first model fits the data, at one gel
-    (``1 x d``), nats.
-    """
-    posterior = Posterior(belief.models[0], batch, simulator)
-    point = Point(gel, nuisances[None])
-    fine = posterior.predict(point)[0]
-    coarse = posterior.coarse.predict(point)[0]
-    change = batch.whiten(fine - coarse, batch.sd(fine))
-    return 0.5 * float(change.square().sum().nan_to_num(math.inf))
-
-
-def _seen_by(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> ModelFit:
-    """A fit by other bubbles with the cost and the prediction that a simulator gives it, as one
-    that has not converged.
-    """
-    posterior = Posterior(fit.prior, batch, simulator)
-    seen = posterior.predict(fit.point)
-    cost = -float(posterior.log_joint(fit.point, seen))
-    return replace(
-        fit, cost=cost, prediction=seen, certificate=replace(fit.certificate, converged=False)
-    )
-
-
-def finish(
-    fit: ModelFit,
-    batch: ExperimentBatch,
-    simulator: Simulator,
-    *,
-    seed: int,
-    options: SearchOptions | None = None,
-    progress: Progress = None,
-) -> ModelFit:
-    """Continue a fit that was cut short, from where it ended and from a point beside it.
-
-    The second start may end in another local minimum. The agreement in the certificate is then that
-    of the earlier starts, if they had nearly converged, or that of more starts beside it.
-    """
-    options = options or SearchOptions(starts=2)
-    near = as_assimilation(fit, batch)
-    search = partial(assimilate, options=options, warn=False, progress=progress)
-    ended = search(near.prior, batch, simulator, seed=seed, near=near).fits[0]
-    if fit.certificate.gradient < NEARLY and abs(fit.cost - ended.cost) < ONE_MINIMUM:
-        ended = _certified(
-            ended, min(ended.certificate.agreement, fit.certificate.agreement), options
-        )
-    if ended.certificate.converged or ended.certificate.gradient >= options.gradient:
-        return ended
-    source = generator(child(seed, "beside"))
-    away = SearchOptions().descent.restart
-    starts = ended.mean + torch.stack(
-        [draw_perturbation(ended.chol, source, away) for _ in range(_AGAIN)]
-    )
-    moved = [ended.nuisances_at(starts)]
-    again = search(
-        near.prior, batch, simulator, seed=child(seed, "again"), starts=[starts], nuisances=moved
-    )
-    return lower(ended, again.fits[0], options)
-
-
-def as_assimilation(fit: ModelFit, batch: ExperimentBatch) -> Assimilation:
-    """One fit as an assimilation, for functions that take one."""
-    return Assimilation(even_belief((fit.prior,)), batch, (fit,))
-
-
-def promised(fit: ModelFit) -> float:
-    """Nats that a fit which has not converged may still gain, by its gradient."""
-    return 0.0 if fit.certificate.converged else PROMISED * fit.certificate.gradient**2
-
-
 def laplace_evidence(fit: ModelFit) -> float:
     """``log p(y)`` in the Gaussian approximation, nats.
 
@@ -413,3 +185,19 @@ def overdispersion(fit: ModelFit, batch: ExperimentBatch) -> float:
     """Chi squared per degree of freedom of a fit to the mean curves, at least 1."""
     fitted = len(fit.mean) + fit.nuisances.numel()
     return max(1.0, batch.square(fit.prediction) / max(1, int(batch.mask.sum()) - fitted))
+
+
+def gels_of(fit: ModelFit, hypothesis: Hypothesis) -> dict[str, list[float]]:
+    """Parameter of the gel -> its value in each experiment of a fit with gels that differ, SI.
+
+    Empty where they do not differ.
+    """
+    deviations = fit.nuisances[:, len(NUISANCES) :]
+    if not hypothesis.gels_differ:
+        return {}
+    common = dict(zip(fit.prior.names, fit.prior.physical(fit.mean), strict=True))
+    between = scatters(hypothesis.base).items()
+    return {
+        name: scatter.moved(common[name], scatter.relative * column).tolist()
+        for (name, scatter), column in zip(between, deviations.unbind(1), strict=True)
+    }

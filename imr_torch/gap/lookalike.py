@@ -20,6 +20,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.float64 import full, ones, randn, tensor, zeros
+from imr_torch.gap.adequacy import Adequacy, log_p_values
 from imr_torch.goodness.linear import Linearisation
 from imr_torch.goodness.score import (
     ADEQUATE,
@@ -29,7 +30,6 @@ from imr_torch.goodness.score import (
     log_survival,
     make_block,
 )
-from imr_torch.material import Effect
 from imr_torch.random import child, generator
 from imr_torch.types import Directions
 
@@ -105,39 +105,28 @@ class Likeness:
         return (1.0 - _STRANGE) * density + _STRANGE * strange
 
 
-def likeness(
-    size: float,
-    rows: Mapping[str, Directions],
-    generic: Mapping[str, Directions],
-    effects: Sequence[Effect],
-    line: Linearisation,
-    *,
-    seed: int,
-) -> Likeness:
+def likeness(size: float, left: Adequacy, *, seed: int) -> Likeness:
     """How often an unknown effect would leave an adequate fit with the best of the known effects.
 
     Args:
         size: standard deviations that the leading effect explains of the residual.
-        rows: effect -> ``S x N``, whitened changes beside a refit
-            (:func:`imr_torch.gap.refitted.refitted_directions`).
-        generic: block -> ``k x N`` (:func:`imr_torch.goodness.score.generic_rows`).
-        effects: those that ``rows`` are of.
-        line: local sensitivities at the fit that leaves the gap.
+        left: the test at the fit that leaves the gap, with the directions of the effects.
         seed: of noise and random laws.
     """
     source = generator(child(seed, "likeness"))
-    every = {name: _unit(own, line) for name, own in {**rows, **generic}.items()}
+    line = left.line
+    every = {name: _unit(own, line) for name, own in {**left.beside, **left.generic}.items()}
     every = {name: own for name, own in every.items() if len(own)}
     beyond, every = _in_own_span(every, line)
-    owners = [name for name, own in every.items() if name in rows for _ in own]
+    owners = [name for name, own in every.items() if name in left.beside for _ in own]
     if not owners:
         return Likeness(size, torch.full((1, 1), -math.inf), ones(1))
-    known = torch.cat([own for name, own in every.items() if name in rows])
+    known = torch.cat([own for name, own in every.items() if name in left.beside])
     laws = every.get(STATE_LAW, known[:0])
     mixed = randn(_LAWS if len(laws) else 0, len(laws), generator=source) @ laws
     reference = torch.cat((known, mixed / mixed.norm(dim=1, keepdim=True)))
     names = [*owners, *[STATE_LAW] * len(mixed)]
-    families = {effect.name: effect.family for effect in effects}
+    families = {effect.name: effect.family for effect in left.effects}
     same = torch.tensor([[families.get(a) == families[b] for b in owners] for a in names])
     cosine, nearest = (reference @ known.mT).abs().masked_fill(same, -1.0).max(1)
     usable = cosine > 0.0
@@ -146,19 +135,19 @@ def likeness(
     missing = size * (cosine.square().reciprocal() - 1.0).clamp_min(0.0).sqrt()
     obvious = usable & (missing > _OBVIOUS)
     log_p[obvious] = log_survival(missing[obvious].square(), _OBVIOUS_RANK)[:, None]
+    tested = usable & ~obvious
     null: Tensor | None = None
-    for winner in nearest[usable & ~obvious].unique().tolist():
-        own = torch.nonzero(usable & ~obvious & (nearest == winner))[:, 0]
+    for winner in nearest[tested].unique().tolist():
+        own = torch.nonzero(tested & (nearest == winner))[:, 0]
         empty = zeros(len(known[0]))
         here = replace(line, residual=empty, fitted=known[winner][:, None])
-        tested = [make_block(n, own, here) for n, own in every.items() if n != owners[winner]]
-        blocks = [b for b in tested if b.directions.shape[1]]
+        blocks = [make_block(n, rows, here) for n, rows in every.items() if n != owners[winner]]
+        blocks = [b for b in blocks if b.directions.shape[1]]
         if null is None:
-            nothing = torch.zeros(1, 1, len(empty))
-            noise = _log_p_values(blocks, here, beyond, nothing, _CALIBRATION, source)
+            noise = _log_p_values(blocks, here, beyond, empty[None, None], _CALIBRATION, source)
             null = noise.amin(0).flatten().sort().values
-        left = (size / cosine[own])[:, None] * reference[own]
-        logs = _log_p_values(blocks, here, beyond, left[:, None], _NOISES, source)
+        signals = (size / cosine[own])[:, None] * reference[own]
+        logs = _log_p_values(blocks, here, beyond, signals[:, None], _NOISES, source)
         for row, place in enumerate(own.tolist()):
             # blocks of the same family would not be offered
             family = families.get(names[place])
@@ -166,9 +155,8 @@ def likeness(
             offered += [True] * (len(logs) - len(blocks))
             log_p[place] = _calibrated(logs[offered, row].amin(0), null)
     # every effect counts as one, and so does every generic stress function
-    weights = [(len(laws) if n == STATE_LAW else 1.0) / names.count(n) for n in names]
-    total = tensor(weights)
-    return Likeness(size, log_p, total / total.sum())
+    weights = tensor([(len(laws) if n == STATE_LAW else 1.0) / names.count(n) for n in names])
+    return Likeness(size, log_p, weights / weights.sum())
 
 
 def _log_p_values(
@@ -193,9 +181,7 @@ def _log_p_values(
     size = signals.shape[-1]
     noise = randn(len(signals), count, size + beyond, generator=source)
     rows = line.project_out(signals + noise[..., :size])
-    logs = [
-        log_survival((rows @ b.directions).square().sum(-1), b.directions.shape[1]) for b in blocks
-    ]
+    logs = log_p_values(blocks, rows)
     if line.batch.noise_laws is None:
         total = rows.square().sum(-1) + noise[..., size:].square().sum(-1)
         logs.append(log_survival(total, size - 1 + beyond))
@@ -210,11 +196,8 @@ def _calibrated(smallest: Tensor, null: Tensor) -> Tensor:
     count = torch.searchsorted(null, smallest)
     rank = ((1.0 + count) / (1.0 + len(null))).log()
     tests = -math.log(len(null)) - float(null[0])  # effective number of tests, log
-    return torch.where(
-        count > 0,
-        rank,
-        torch.minimum(smallest + tests, torch.tensor(-math.log(1.0 + len(null))).double()),
-    )
+    bound = (smallest + tests).clamp_max(-math.log(1.0 + len(null)))
+    return torch.where(count > 0, rank, bound)
 
 
 def _in_own_span(

@@ -9,12 +9,12 @@ thousandth of the deviation, in bubbles that take the fit's own solver steps.
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
+from imr_torch.files import Document
 from imr_torch.goodness.linear import linearise_fit
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import ExperimentBatch, GelMedium, predict
@@ -77,7 +77,7 @@ class MediumSensitivity:
             f"more would change {changes}."
         )
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """JSON-ready values."""
         return vars(self) | {"sentence": self.sentence()}
 
@@ -122,7 +122,7 @@ def medium_sensitivities(
     found = []
     for name, sigma, relative in zip(names, sigmas.tolist(), changes.tolist(), strict=True):
         own = fit.prior.names
-        gel = [i for i, parameter in enumerate(own) if parameter not in OF_MEDIUM.values()]
+        gel = map(own.index, fit.prior.of_gel)
         matters = [i for i in gel if abs(sigma[i]) > MATTERS and math.isfinite(sigma[i])]
         if matters:
             found.append(

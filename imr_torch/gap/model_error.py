@@ -15,6 +15,13 @@ errors do in a budget of uncertainties (JCGM 100:2008, type B).
 
 A bound by geometry alone stands beside it: an error as large as the residual beyond noise, wholly
 in the direction that moves a parameter most (Plumlee, J. Am. Stat. Assoc. 112, 2017).
+
+How much would hide: for each effect the size that these data would have shown, and what that size,
+unseen, would do to the parameters. About a fit an effect of a usual size leaves ``L`` standard
+deviations beside everything fitted; a test finds a signal of ``s L`` with 90 % where that is the
+root of the noncentrality of its chi-square. What the fit absorbs of the same signal shifts the gel.
+Both are of first order in the size. This is the answer to "can a clean fit be trusted?", and stands
+beside it.
 """
 
 import math
@@ -23,6 +30,7 @@ from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
+from scipy.special import chdtri, chndtrinc
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
@@ -34,11 +42,16 @@ from imr_torch.gap.hypotheses import overdispersion
 from imr_torch.gap.verdict import NONE, OTHER, PRIOR_TWO, SLOW_NOISE
 from imr_torch.goodness.linear import Linearisation
 from imr_torch.goodness.phases import phase_clock
-from imr_torch.goodness.score import PULSES, STATE_LAW
+from imr_torch.goodness.score import LEVEL, PULSES, STATE_LAW
+from imr_torch.material import Effect
 from imr_torch.material.model_belief import LEVELS
 from imr_torch.random import child, generator
 from imr_torch.types import DrawnControls
+from imr_torch.unknown.infer import LinearSystem, Refit
 
+FOUND = 0.9
+"""Chance with which the size that is said would have been found."""
+_PLAUSIBLE = 4.0  # usual sizes beyond which an effect is said not to be seen here
 _SIZES = (1.0, 3.0)  # of what is missing, in usual sizes
 _CAMERA = 0.003  # usual size of a smooth error of the radius, in R*
 _CAMERA_TIME = 0.003  # of time, in t*
@@ -60,11 +73,11 @@ class ModelError:
             fit, by an error of the size of the residual beyond noise.
 
     >>> from imr_torch.gap.model_error import ModelError
-    >>> ModelError({"G": (6.9e3, 8.3e3, 10.4e3)}, 4.0).intervals["G"][2]
+    >>> ModelError({"G": [6.9e3, 8.3e3, 10.4e3]}, 4.0).intervals["G"][2]
     10400.0
     """
 
-    intervals: dict[str, tuple[float, float, float]]
+    intervals: dict[str, list[float]]
     bound: float
 
 
@@ -89,13 +102,7 @@ def model_error(report: GapReport, *, seed: int = 0) -> ModelError:
             continue
         if name in (OTHER, SLOW_NOISE):
             budgets = [
-                error_budget(
-                    fit,
-                    left.line,
-                    missing_rows(left, inside=name == OTHER),
-                    size=size,
-                    prior=prior,
-                )
+                (fit, math.log(prior), missing_system(left, inside=name == OTHER).solve(size))
                 for fit, left, prior in places
                 for size in _SIZES
             ]
@@ -115,13 +122,8 @@ def model_error(report: GapReport, *, seed: int = 0) -> ModelError:
     columns = torch.cat(rows).quantile(levels, dim=0).mT.tolist()
     line = report.left.line
     square = float(line.residual[: line.batch.mask.numel()].square().sum())
-    return ModelError(
-        {
-            name: (low, middle, high)
-            for name, (low, middle, high) in zip(names, columns, strict=True)
-        },
-        math.sqrt(max(square - frames, 0.0)),
-    )
+    intervals = dict(zip(names, columns, strict=True))
+    return ModelError(intervals, math.sqrt(max(square - frames, 0.0)))
 
 
 def _judged(report: GapReport) -> Attribution | None:
@@ -148,76 +150,31 @@ def _shares(report: GapReport) -> dict[str, float]:
     return shares
 
 
-@dataclass(frozen=True)
-class Budget:
-    """A linear refit about a fit with all that may be missing, at one size.
-
-    Args:
-        fit: the fit.
-        mean: ``k`` tensor, shift of everything fitted.
-        root: ``k x m`` tensor whose product with its transpose is the shift's covariance, for unit
-            noise.
-        misfit: whitened squared residual that is left, the priors' part included.
-        log_evidence: nats, but for the misfit and a constant.
-    """
-
-    fit: ModelFit
-    mean: Float[Tensor, "fitted"]
-    root: Float[Tensor, "fitted columns"]
-    misfit: float
-    log_evidence: float
-
-
-def error_budget(
-    fit: ModelFit,
-    line: Linearisation,
-    missing: Float[Tensor, "unknowns rows"],
-    *,
-    size: float = 1.0,
-    prior: float = 1.0,
-) -> Budget:
-    """The linear refit of everything fitted beside what may be missing.
-
-    Args:
-        fit: the fit.
-        line: local sensitivities there.
-        missing: ``m x N`` tensor, whitened changes by each unknown at one standard deviation.
-        size: factor on all of them.
-        prior: probability of this refit.
-    """
-    fitted = line.fitted.shape[1]
-    columns = torch.cat((line.fitted, size * missing.mT), 1)
-    free = torch.cat((torch.zeros(fitted), torch.ones(len(missing)))).to(columns)
-    chol = torch.linalg.cholesky(columns.mT @ columns + free.diag())
-    seen = (columns.mT @ line.residual)[:, None]
-    half = torch.linalg.solve_triangular(chol, seen, upper=False)[:, 0]
-    root = torch.linalg.solve_triangular(chol.mT, eye(len(half)), upper=True)[:fitted]
-    misfit = float(line.residual.square().sum() - half.square().sum())
-    evidence = math.log(prior) - float(chol.diagonal().log().sum())
-    return Budget(fit, root @ half, root, misfit, evidence)
-
-
 def _with_unknown(
-    budgets: Sequence[Budget], frames: int, count: int, source: torch.Generator
+    budgets: Sequence[tuple[ModelFit, float, Refit]],
+    frames: int,
+    count: int,
+    source: torch.Generator,
 ) -> list[tuple[ModelFit, DrawnControls]]:
-    """Controls drawn from refits in proportion to their evidence, by the fit that they are about.
+    """Controls drawn from refits in proportion to their prior and evidence, by the fit that they are
+    about.
 
     Misfit that even the best of them leaves counts as noise.
     """
-    least = max(1.0, min(one.misfit for one in budgets) / frames)
-    logs = tensor([one.log_evidence - 0.5 * one.misfit / least for one in budgets])
+    least = max(1.0, min(refit.misfit for _, _, refit in budgets) / frames)
+    logs = tensor([p + refit.log_volume - 0.5 * refit.misfit / least for _, p, refit in budgets])
     picked = torch.multinomial(logs.softmax(0), count, replacement=True, generator=source)
     drawn = []
     for number, times in zip(*picked.unique(return_counts=True), strict=True):
-        one = budgets[int(number)]
-        noise = randn(int(times), one.root.shape[1], generator=source)
-        moved = one.mean + math.sqrt(least) * noise @ one.root.mT
-        drawn.append((one.fit, one.fit.mean + moved[:, : len(one.fit.mean)]))
+        fit, _, refit = budgets[int(number)]
+        noise = randn(int(times), len(refit.solution), generator=source)
+        moved = refit.solution + math.sqrt(least) * noise @ refit.root.mT
+        drawn.append((fit, fit.mean + moved[:, : len(fit.mean)]))
     return drawn
 
 
-def missing_rows(left: Adequacy, *, inside: bool = True) -> Float[Tensor, "unknowns rows"]:
-    """Whitened changes ``m x N`` by all that may be missing beside a fit, each of its usual size.
+def missing_system(left: Adequacy, *, inside: bool = True) -> LinearSystem:
+    """Local sensitivities at a fit beside all that may be missing there, each of its usual size.
 
     Args:
         left: the test at the fit.
@@ -226,25 +183,22 @@ def missing_rows(left: Adequacy, *, inside: bool = True) -> Float[Tensor, "unkno
     """
     rows = _camera_rows(left.line)
     if inside:
-        rows += [own / math.sqrt(len(own)) for own in left.directions.values() if len(own)]
-        for name in (STATE_LAW, PULSES):
-            own = left.generic.get(name)
-            if own is not None and len(own):
-                length = own.norm(dim=1, keepdim=True).clamp_min(1e-300)
-                rows.append(own * _GENERIC / length / math.sqrt(len(own)))
-    return torch.cat(rows)
+        rows += [own / math.sqrt(len(own)) for own in left.directions.values()]
+        for own in (left.generic[STATE_LAW], left.generic[PULSES]):
+            length = own.norm(dim=1, keepdim=True).clamp_min(1e-300)
+            rows.append(own * _GENERIC / length / math.sqrt(len(own)))
+    return LinearSystem(left.line.residual, left.line.fitted, torch.cat(rows).mT)
 
 
 def _camera_rows(line: Linearisation) -> list[Float[Tensor, "unknowns rows"]]:
     """Whitened smooth errors of the radius and of time: alike in all curves, and each curve's own."""
-    sizes = (_CAMERA, _CAMERA_TIME)
-    errors = smooth_errors(line, _KNOTS, float(_KNOTS[1] - _KNOTS[0]))
-    alike = [size * rows for size, rows in zip(sizes, errors, strict=True)]
-    if len(line.batch.experiments) == 1:
-        return [line.whiten(rows) for rows in alike]
-    each = eye(len(line.batch.experiments))[:, None, :, None]
-    single = [(rows[None] * each).flatten(0, 1) for rows in alike]
-    return [line.whiten(rows) for rows in (*alike, *single)]
+    sizes = tensor((_CAMERA, _CAMERA_TIME))[:, None, None, None]
+    alike = sizes * smooth_errors(line, _KNOTS, float(_KNOTS[1] - _KNOTS[0]))
+    rows = [alike.flatten(0, 1)]
+    count = len(line.batch.experiments)
+    if count > 1:
+        rows.append((alike[:, None] * eye(count)[:, None, :, None]).flatten(0, 2))
+    return [line.whiten(own) for own in rows]
 
 
 def smooth_errors(
@@ -263,3 +217,64 @@ def smooth_errors(
         ]
     )
     return torch.stack((bumps, bumps * slope))
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """What of one effect these data would not show.
+
+    Args:
+        effect: its name.
+        size: of its amplitude, either sign, SI, that would be found with 90 %; None where even four times its
+            usual size would not.
+        shift: parameter of the gel -> relative change by that size, unseen; by the usual size where
+            there is none.
+
+    >>> from imr_torch.gap.model_error import Hidden
+    >>> Hidden("clock", 0.01, {"G": 0.06}).shift["G"]
+    0.06
+    """
+
+    effect: str
+    size: float | None
+    shift: dict[str, float]
+
+
+def hidden_effects(report: GapReport) -> tuple[Hidden, ...]:
+    """What would hide at the fit that the verdict rests on, the largest shift first.
+
+    Args:
+        report: a diagnosis.
+    """
+    found = report.attribution if report.verdict in ("effect", "class") else None
+    left = found.left if found else report.left
+    fit = found.winner_fit if found else report.null
+    rows = [_hidden(effect, left, fit, report.base.of_gel) for effect in left.effects]
+    return tuple(sorted(rows, key=lambda row: -max(map(abs, row.shift.values()), default=0.0)))
+
+
+def _hidden(effect: Effect, left: Adequacy, fit: ModelFit, gel: Sequence[str]) -> Hidden:
+    """What would hide of one effect beside a fit: of the start that shows in the middle of all."""
+    beside = left.line.project_out(left.beside[effect.name]).norm(dim=1)
+    rows = left.directions[effect.name]
+    known = torch.nonzero(beside > 0.0)[:, 0]
+    blocks = [b for b in left.test.blocks if b.name == effect.name]
+    if not len(known) or not blocks:
+        return Hidden(effect.name, None, {})
+    place = int(known[beside[known].argsort()[len(known) // 2]])
+    # the noncentrality with which a test of this rank and level finds a signal with FOUND
+    rank = blocks[0].rank
+    least = chdtri(rank, LEVEL / len(left.test.blocks))
+    needed = float(chndtrinc(least, rank, 1.0 - FOUND)) ** 0.5
+    times = needed / float(beside[place])
+    plausible = times <= _PLAUSIBLE
+    shift = (times if plausible else 1.0) * (left.line.to_shift @ rows[place])[: len(fit.mean)]
+    moved = torch.stack((fit.mean, fit.mean + shift))
+    before, after = fit.prior.physical(fit.prior.unwhitened(moved))
+    relative = (after / before - 1.0).tolist()
+    names = [name for name in fit.prior.names if name in gel]
+    return Hidden(
+        effect.name,
+        times * abs(effect.starts[place][0]) if plausible else None,
+        {name: relative[fit.prior.names.index(name)] for name in names},
+    )

@@ -20,22 +20,15 @@ import torch
 
 from imr_torch.assimilate import ModelFit, infer_frame_noise
 from imr_torch.assimilate.slow_noise import BesideSlowNoise
-from imr_torch.gap.adequacy import Adequacy, adequacy_test
-from imr_torch.gap.attribute import Attribution, Inquiry, attribute, reconsider
-from imr_torch.gap.hypotheses import (
-    EXPLAINS,
-    Hypothesis,
-    finish,
-    fit_null,
-    in_words,
-    laplace_evidence,
-)
+from imr_torch.gap.adequacy import Adequacy
+from imr_torch.gap.attribute import Attribution, attribute, reconsider
+from imr_torch.gap.fits import finish, fit_null
+from imr_torch.gap.hypotheses import EXPLAINS, Hypothesis, Inquiry, in_words, laplace_evidence
 from imr_torch.gap.verdict import MEMBER, NONE, OTHER, SLOW_NOISE, Choice, choose
 from imr_torch.labels import p_value
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
-from imr_torch.types import Progress
 
 _NO_GAP = 0.5  # probability of the base model alone from which on there is no gap
 # probability of an unknown effect from which on the verdict is "other", once further effects were
@@ -103,12 +96,9 @@ def select_causes(
     inquiry: Inquiry,
     null: ModelFit,
     left: Adequacy,
-    most: int,
     *,
-    alone: Sequence[ModelFit],
     nearest: Finding | None = None,
     seed: int,
-    progress: Progress,
 ) -> Finding:
     """Forward selection of parts until an unknown effect is improbable, and the verdict that
     follows.
@@ -121,23 +111,16 @@ def select_causes(
         inquiry: base model, effects and data.
         null: the base model's fit.
         left: the gap test there.
-        most: parts that are selected at most.
-        alone: the base model's fit of each experiment by itself.
         nearest: an earlier verdict "other", whose parts are tried again from their fit: with little
             noise a search may end where collapses lie on the wrong side of frames.
         seed: of every random number.
-        progress: called with one line per step.
     """
-    finding = _select_until_adequate(
-        inquiry, null, left, most, alone=alone, nearest=nearest, seed=seed, progress=progress
-    )
+    finding = _select_until_adequate(inquiry, null, left, nearest=nearest, seed=seed)
     laws = inquiry.batch.noise_laws
     if finding.verdict != OTHER or laws is None or not laws.of_residuals:
         return finding
     if nearest is None:
-        nearest = _select_within_misfit(
-            inquiry, finding, null, most, alone=alone, seed=seed, progress=progress
-        )
+        nearest = _select_within_misfit(inquiry, finding, null, seed=seed)
     return replace(
         finding,
         selected=nearest.selected,
@@ -148,58 +131,42 @@ def select_causes(
 
 
 def _select_within_misfit(
-    inquiry: Inquiry,
-    finding: Finding,
-    null: ModelFit,
-    most: int,
-    *,
-    alone: Sequence[ModelFit],
-    seed: int,
-    progress: Progress,
+    inquiry: Inquiry, finding: Finding, null: ModelFit, *, seed: int
 ) -> Finding:
     """The verdict "other" with the parts that explain much even if all that is left counts as
     noise: slow noise of each shot's own, or else larger noise in all frames alike.
     """
     held = Hypothesis(inquiry.base)
-    search = partial(fit_with_noise, simulator=inquiry.simulator, of_misfit=True, progress=progress)
-    fit, batch = search(held, null, inquiry.batch, seed=child(seed, "misfit"))
-    left = adequacy_test(fit, inquiry.effects, batch, inquiry.simulator, seed=seed)
-    within = WithinMisfit(fit, batch, fit, left)
-    while len(held.parts) < most and inquiry.longer(held):
+    fit, within = fit_with_noise(inquiry, held, null, of_misfit=True, seed=child(seed, "misfit"))
+    own_fit = fit
+    left = within.test(fit, held, seed=seed)
+    steps: list[Attribution] = []
+    while len(held.parts) < inquiry.most and inquiry.longer(held):
         own = child(seed, "misfit", len(held.parts))
-        found = attribute(
-            replace(inquiry, batch=batch),
-            fit,
-            held,
-            before=left,
-            seed=own,
-            alone=alone,
-            progress=progress,
-        )
+        found = attribute(within, fit, held, before=left, seed=own)
         beside = [step for step in finding.steps if step.held.name == held.name]
         step, explained = weigh_beside_slow([found, *beside], inquiry.batch, inquiry.simulator)
-        within = replace(within, steps=(*within.steps, step))
-        name, nats = max(explained.items(), key=lambda item: item[1], default=("", 0.0))
+        steps.append(step)
+        name, nats = max(explained.items(), key=itemgetter(1), default=("", 0.0))
         if nats < EXPLAINS:
             name = found.winner.name
             if found.explained[name] < EXPLAINS:
                 break
         held = step.hypotheses[name]
-        fit, batch = search(held, step.fits[name], inquiry.batch, seed=own)
-        seen = held.seen(batch)
-        left = adequacy_test(fit, inquiry.effects, seen, inquiry.simulator, seed=own)
+        fit, within = fit_with_noise(inquiry, held, step.fits[name], of_misfit=True, seed=own)
+        left = within.test(fit, held, seed=own)
+    base = own_fit
     if held.parts:
-        near = within.steps[0].fits[NONE]
-        base = fit_null(inquiry.base, batch, inquiry.simulator, seed=seed, near=near)
-        left = adequacy_test(base, inquiry.effects, batch, inquiry.simulator, seed=seed)
-        within = replace(within, batch=batch, null=base, left=left)
+        near = steps[0].fits[NONE]
+        base = fit_null(replace(within, progress=None), seed=seed, near=near)
+        left = within.test(base, Hypothesis(inquiry.base), seed=seed)
     nearest = " and ".join(map(in_words, held.parts))
     explained = f"{nearest} explains some of it" if nearest else "none explains any of it"
     return replace(
         finding,
         selected=held,
         selected_fit=fit,
-        within_misfit=within,
+        within_misfit=WithinMisfit(own_fit, within.batch, base, left, tuple(steps)),
         reason="No effect of the library is enough; where all that is left counts as noise, "
         f"{explained}.",
     )
@@ -252,69 +219,52 @@ def evidence_beside_slow(
 
 
 def fit_with_noise(
+    inquiry: Inquiry,
     held: Hypothesis,
     fit: ModelFit,
-    batch: ExperimentBatch,
-    simulator: Simulator,
     *,
     of_misfit: bool = False,
     seed: int,
-    progress: Progress = None,
-) -> tuple[ModelFit, ExperimentBatch]:
+) -> tuple[ModelFit, Inquiry]:
     """The fit of a hypothesis under the noise that is inferred about it, and the data with that
     noise: of single frames, or of all that the fit leaves.
     """
     for number in range(_NOISE_ROUNDS):
-        noise = infer_frame_noise(fit.linearise(held.seen(batch), simulator))
+        seen = held.seen(inquiry.batch)
+        noise = infer_frame_noise(fit.linearise(seen, inquiry.simulator))
         if of_misfit:  # enlarged only at last: a fit by wide noise leaves more
             noise = noise.for_fits(widen=number + 1 == _NOISE_ROUNDS)
-        batch = noise.applied(batch)
-        if progress:
-            progress(f"noise {batch.noise}")
-        own = {"seed": child(seed, number), "progress": progress}
-        if held.parts:
-            fit = finish(fit, held.seen(batch), simulator, **own)
-        else:
-            fit = fit_null(held.base, batch, simulator, near=fit, **own)
-    return fit, batch
+        inquiry = replace(inquiry, batch=noise.applied(inquiry.batch))
+        if inquiry.progress:
+            inquiry.progress(f"noise {inquiry.batch.noise}")
+        again = partial(finish, inquiry, fit, held)
+        if not held.parts:
+            again = partial(fit_null, inquiry, near=fit)
+        fit = again(seed=child(seed, number))
+    return fit, inquiry
 
 
 def _select_until_adequate(
     inquiry: Inquiry,
     null: ModelFit,
     left: Adequacy,
-    most: int,
     *,
-    alone: Sequence[ModelFit],
     nearest: Finding | None,
     seed: int,
-    progress: Progress,
 ) -> Finding:
     held = Hypothesis(inquiry.base)
     fit = null
     before = left
     masked = 1.0
     steps: tuple[Attribution, ...] = ()
-    while len(held.parts) < most and inquiry.longer(held):
-        found = attribute(
-            inquiry,
-            fit,
-            held,
-            seed=child(seed, "attribute", len(held.parts)),
-            alone=alone,
-            before=before,
-            masked=masked,
-            progress=progress,
-        )
+    while len(held.parts) < inquiry.most and inquiry.longer(held):
+        own = child(seed, "attribute", len(held.parts))
+        found = attribute(inquiry, fit, held, before=before, seed=own, masked=masked)
         if nearest is not None and not held.parts:
             for part in nearest.selected.parts:
+                own = child(seed, part)
                 found = reconsider(
-                    inquiry,
-                    found,
-                    part,
-                    nearest.selected_fit,
-                    before=left,
-                    seed=child(seed, part),
+                    inquiry, found, part, nearest.selected_fit, before=left, seed=own
                 )
         if held.parts and found.explained[found.winner.name] < EXPLAINS:
             break
@@ -357,14 +307,8 @@ def _with_one_part(
         return None
     alone = steps[0]
     for part in reversed(last.winner.parts):
-        alone = reconsider(
-            inquiry,
-            alone,
-            part,
-            last.winner_fit,
-            before=left,
-            seed=child(seed, "reconsider", part),
-        )
+        own = child(seed, "reconsider", part)
+        alone = reconsider(inquiry, alone, part, last.winner_fit, before=left, seed=own)
     choice = choose(alone.posterior)
     if alone is steps[0] or choice.leader == NONE or alone.posterior[OTHER] > _UNKNOWN:
         return None

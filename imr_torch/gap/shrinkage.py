@@ -28,16 +28,15 @@ from torch import Tensor
 from imr_torch.assimilate.slow_noise import BesideSlowNoise
 from imr_torch.float64 import arange, eye, randn, tensor, zeros
 from imr_torch.gap.diagnose import GapReport
-from imr_torch.gap.held_out import HeldOut, Judged, judge_designs
+from imr_torch.gap.held_out import Judged, judge_designs
 from imr_torch.gap.hypotheses import EXPLAINS
 from imr_torch.gap.model_error import smooth_errors
 from imr_torch.goodness.linear import Linearisation
-from imr_torch.goodness.phases import PHASES, noise_shares, phase_clock, phase_numbers
 from imr_torch.goodness.score import ADEQUATE
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
-from imr_torch.types import FrameValues, Progress
+from imr_torch.types import Progress
 
 TURN = 1.5
 """Reading of the phase clock at the first rebound's maximum."""
@@ -127,22 +126,20 @@ def shrinkage(
     judged = judge_designs(report, simulator, unseen, seed=child(seed, "judge"), progress=progress)
     if not judged:
         return None
-    pairs = [_compared(pair) for pair in judged]
     source = generator(child(seed, "interval"))
-    base = [pair.base for pair in pairs]
-    base_gap = float(torch.cat(base).sum())
-    count = sum(len(pair.phase) for pair in pairs)
-    freedom = float(sum(pair.beside.trace() for pair in pairs))
-    squares = [(pair.beside @ pair.pair.base.residual).square().sum() for pair in pairs]
+    excess = torch.stack([pair.excess_by_phase() for pair in judged])
+    base_gap = float(excess[:, 0].sum())
+    count = sum(len(pair.phase) for pair in judged)
+    freedom = float(sum(pair.projector.trace() for pair in judged))
+    squares = [(pair.projector @ pair.base.residual).square().sum() for pair in judged]
     base_p = float(chdtrc(freedom, float(sum(squares))))
     left = base_p < ADEQUATE and base_gap > 0.0
-    later = [squares for pair in pairs if (squares := pair.later) is not None]
-    later_base = [squares[0] for squares in later]
-    turned = left and later and float(torch.cat(later_base).sum()) > 0.0
+    later = [both for pair in judged if (both := pair.later_by_phase(TURN)) is not None]
+    turned = left and later and float(torch.stack(later)[:, 0].sum()) > 0.0
     return Shrinkage(
-        share=_interval(base, [pair.effect for pair in pairs], source) if left else None,
-        later=_interval(later_base, [x[1] for x in later], source) if turned else None,
-        placebo=_placebo(report, pairs, placebos, child(seed, "placebo")) if left else (),
+        share=_interval(excess, source) if left else None,
+        later=_interval(torch.stack(later), source) if turned else None,
+        placebo=_placebo(report, judged, placebos, child(seed, "placebo")) if left else (),
         base_gap=base_gap / count,
         base_p=base_p,
         selected=tuple(pair.effect.hypothesis.parts for pair in judged),
@@ -150,86 +147,16 @@ def shrinkage(
     )
 
 
-@dataclass(frozen=True)
-class _Compared:
-    """A design judged: the projector beside the directions that are removed, and how much of the
-    law's variance counts in each frame, with its phase and its reading of the phase clock.
-    """
-
-    pair: Judged
-    beside: Tensor
-    share: Tensor
-    phase: Tensor
-    clock: Tensor
-
-    @property
-    def base(self) -> Float[Tensor, "phases"]:
-        """Squares beyond noise by phase, without what was selected."""
-        return self._by_phase(self.excess(self.pair.base.residual))
-
-    @property
-    def effect(self) -> Float[Tensor, "phases"]:
-        """The same with it."""
-        return self._by_phase(self.excess(self.pair.effect.residual))
-
-    @property
-    def later(self) -> tuple[Float[Tensor, "phases"], Float[Tensor, "phases"]] | None:
-        """Both over the frames after the turn, with what is the curve's own fitted before it."""
-        early = self.clock <= TURN
-        if not early.any() or early.all():
-            return None
-        base, effect = (self._later(one, early) for one in (self.pair.base, self.pair.effect))
-        return base, effect
-
-    def excess(self, residual: Tensor) -> FrameValues:
-        """Squares of a residual beyond noise, in single-shot variances."""
-        expected = self.share * self.beside.square().sum(1)
-        return ((self.beside @ residual).square() - expected) / self._counts
-
-    def _later(self, own: HeldOut, early: Tensor) -> Tensor:
-        centred = own.residual + own.by_nuisance @ own.nuisances
-        before = own.by_nuisance[early]
-        precision = eye(before.shape[1]) + before.mT @ before
-        fitted = torch.linalg.solve(precision, before.mT @ centred[early])
-        spread = (own.by_nuisance @ torch.linalg.inv(precision) * own.by_nuisance).sum(1)
-        square = (centred - own.by_nuisance @ fitted).square() - self.share - spread
-        return self._by_phase(torch.where(early, 0.0, square / self._counts))
-
-    @property
-    def _counts(self) -> Tensor:
-        return self.pair.base.line.batch.counts[0]
-
-    def _by_phase(self, squares: Tensor) -> Tensor:
-        return zeros(len(PHASES)).index_add(0, self.phase, squares)
-
-
-def _compared(pair: Judged) -> _Compared:
-    batch = pair.base.line.batch
-    phase = phase_numbers(batch.times, batch.mean, batch.mask)[0]
-    share = noise_shares([own.residual.square() for own in (pair.base, pair.effect)], phase)
-    clock = phase_clock(batch.times, batch.mean, batch.mask)[0]
-    return _Compared(pair, beside_nuisances(pair), share, phase, clock)
-
-
-def beside_nuisances(pair: Judged) -> Float[Tensor, "frames frames"]:
-    """Projector beside all that is the curve's own under either model."""
-    directions = torch.cat((pair.base.by_nuisance, pair.effect.by_nuisance), 1)
-    basis, size, _ = torch.linalg.svd(directions, full_matrices=False)
-    kept = basis[:, size > 1e-6 * size[:1]]
-    return eye(len(directions)) - kept @ kept.mT
-
-
 def _interval(
-    base: Sequence[Tensor], effect: Sequence[Tensor], source: torch.Generator
+    rows: Float[Tensor, "curves 2 phases"], source: torch.Generator
 ) -> tuple[float, float, float]:
-    """5, 50, 95 % of ``1 - sum(effect) / sum(base)`` over curves, or over phases of few curves,
-    drawn anew.
+    """5, 50, 95 % of ``1 - effect / base`` over curves, or over phases of few curves, drawn anew;
+    rows hold squares of the base and of the effect.
 
     One unit fewer than there are is drawn with replacement (Rao & Wu, J. Am. Stat. Assoc. 83,
     1988). A draw in which the base leaves no gap counts as -1 for the lower bound and as 1 for the
     upper; none counts as more than 2 in size.
     """
-    rows = torch.stack([torch.stack(list(pair)) for pair in zip(base, effect, strict=True)])
     units = rows.sum(2) if len(rows) >= _MANY else rows.movedim(1, 2).flatten(0, 1)
     units = units[(units != 0.0).any(1)]
     count = len(units)
@@ -246,17 +173,15 @@ def _interval(
 
 
 def _placebo(
-    report: GapReport, compared: Sequence[_Compared], count: int, seed: int
+    report: GapReport, judged: Sequence[Judged], count: int, seed: int
 ) -> tuple[float, ...]:
     """``S`` of random libraries, sorted: the procedure where no candidate is the cause."""
     offered = len(report.trained.steps[0].hypotheses) - 1
     rounds = len(report.selected.effects)
-    sizes = [
-        rows.norm(dim=1).mean() for rows in report.trained.left.directions.values() if len(rows)
-    ]
+    sizes = [rows.norm(dim=1).mean() for rows in report.trained.left.directions.values()]
     of_frame = float(torch.stack(sizes).median() / report.batch.mask.sum().sqrt())
-    trainings = {id(one.pair.training): one.pair for one in compared}
-    before = float(sum(one.base.sum() for one in compared))
+    trainings = {id(pair.training): pair for pair in judged}
+    before = float(sum(pair.excess_by_phase()[0].sum() for pair in judged))
     shares = []
     for number in range(count):
         source = generator(child(seed, number))
@@ -266,12 +191,12 @@ def _placebo(
             for key, pair in trainings.items()
         }
         after = 0.0
-        for one in compared:
-            gel, amplitudes = fitted[id(one.pair.training)]
-            own = one.pair.base
+        for pair in judged:
+            gel, amplitudes = fitted[id(pair.training)]
+            own = pair.base
             rows = own.line.whiten(_random_changes(own.line, weights))[:, : len(own.residual)]
             change = own.by_gel @ gel[: own.by_gel.shape[1]] + amplitudes @ rows
-            after += float(one.excess(own.residual - change).sum())
+            after += float(pair.excess(own.residual - change).sum())
         shares.append(max(-_WIDEST, min(_WIDEST, 1.0 - after / before)))
     return tuple(sorted(shares))
 

@@ -1,5 +1,9 @@
 """From evidence to probabilities of causes, and from these to a verdict by a stated loss.
 
+The evidence of every effect is that of the Gaussian approximation. Those of the leading effects,
+where they are near each other, are computed again by importance sampling
+(:mod:`imr_torch.assimilate.weighing`).
+
 An unknown effect has prior odds against the known ones, and the Bayes factor of how much the best
 of them leaves unexplained (:mod:`imr_torch.gap.lookalike`); so the probability of "other" and the
 adequacy of the leading effect are one thing. Where the noise is inferred from single curves, noise
@@ -14,6 +18,12 @@ import math
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
+
+from imr_torch.assimilate import Assimilation, ModelFit, WeighingOptions, weigh
+from imr_torch.errors import ConvergenceError
+from imr_torch.material.belief import even_belief
+from imr_torch.observe import ExperimentBatch
+from imr_torch.simulate import Simulator
 
 NONE = "none"
 OTHER = "other"
@@ -30,6 +40,15 @@ PRIOR_TWO = 0.1
 MEMBER = 0.1
 UNDECIDED = 0.35
 """Loss of a further member of the set that a verdict names, and of no verdict; that of a truth outside the set is 1."""
+NEAR = 5.0
+"""Nats behind the best up to which an evidence is computed again."""
+
+_MOST = 4  # hypotheses whose evidence is computed again
+_SAMPLES = 48
+_HEAVY, _UNCERTAIN = (
+    0.7,
+    0.5,
+)  # tail of the weights, and standard error in nats, from which on an evidence is not used
 
 
 @dataclass(frozen=True)
@@ -129,3 +148,70 @@ def probabilities(
     weights[OTHER] = of_effects * min(against * bayes_factor, 1e12) + math.exp(unknown - top)
     total = sum(weights.values())
     return {name: weight / total for name, weight in weights.items()}
+
+
+@dataclass(frozen=True)
+class CheckedEvidence:
+    """An evidence by importance sampling.
+
+    Args:
+        laplace: of the Gaussian approximation, nats.
+        sampled: by importance sampling, nats, on the same scale.
+        error: its Monte Carlo standard error.
+        reliable: whether the weights allow to use it; else the Gaussian one is kept.
+    """
+
+    laplace: float
+    sampled: float
+    error: float
+    reliable: bool
+
+
+def check_evidence(
+    fits: Mapping[str, ModelFit],
+    evidence: Mapping[str, float],
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    *,
+    seed: int,
+) -> dict[str, CheckedEvidence]:
+    """Evidence of the leading hypotheses by importance sampling.
+
+    Args:
+        fits: hypothesis -> fit.
+        evidence: hypothesis -> nats, by the Gaussian approximation.
+        batch: the data.
+        simulator: makes the bubbles.
+        seed: of the draws.
+
+    Returns:
+        Hypothesis -> evidence of all within ``NEAR`` nats of the best (four at most); empty where
+        the best is alone, or where no draw of one of them could be simulated.
+    """
+    ranked = sorted(evidence, key=lambda name: -evidence[name])[:_MOST]
+    near = [name for name in ranked if evidence[name] > evidence[ranked[0]] - NEAR]
+    if len(near) < 2:
+        return {}
+    own = tuple(fits[name] for name in near)
+    try:
+        weighted = weigh(
+            Assimilation(even_belief(fit.prior for fit in own), batch, own),
+            simulator,
+            seed=seed,
+            samples=_SAMPLES,
+            rounds=1,
+            options=WeighingOptions(refits=0),
+        )
+    except ConvergenceError:
+        return {}
+    found = {}
+    for name, fit in zip(near, weighted.fits, strict=True):
+        assert fit.sample is not None
+        error = fit.sample.log_evidence_error
+        found[name] = CheckedEvidence(
+            evidence[name],
+            fit.sample.log_evidence,
+            error,
+            fit.sample.pareto_k < _HEAVY and error < _UNCERTAIN,
+        )
+    return found

@@ -11,7 +11,7 @@ from jinja2 import UndefinedError
 from imr_torch.drawing import NamedFigure
 from imr_torch.errors import InputDataError, in_one_line
 from imr_torch.files import Document, write_bytes
-from imr_torch.gap.text import list_names
+from imr_torch.gap.document import list_names
 from imr_torch.html import render
 from imr_torch.labels import model_probability
 from imr_torch.material import material

@@ -13,11 +13,11 @@ terms are then tried in place of the function, about the same trajectory.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from operator import attrgetter
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
@@ -25,7 +25,7 @@ from imr_torch.errors import InputDataError
 from imr_torch.float64 import eye, tensor, zeros
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
-from imr_torch.types import Controls, Values
+from imr_torch.types import Controls
 from imr_torch.unknown.kinds import (
     Columns,
     camera_errors,
@@ -107,47 +107,88 @@ class Unknown:
 @dataclass(frozen=True)
 class _State:
     """Gel, nuisances ``E x w``, the unknown's weights, and what they make in each shot: a pressure in
-    each pulse, or errors of radius and time in each frame.
+    each pulse or, not ``inside`` the equation of motion, errors of radius and time in each frame.
     """
 
     gel: Controls
     nuisances: Float[Tensor, "experiments nuisances"]
     weights: Float[Tensor, "weights"]
     made: tuple[Tensor, ...]
+    inside: bool = True
 
     def towards(self, other: "_State", share: float) -> "_State":
         """A state on the way to another."""
         made = zip(self.made, other.made, strict=True)
-        return _State(
-            torch.lerp(self.gel, other.gel, share),
-            torch.lerp(self.nuisances, other.nuisances, share),
-            torch.lerp(self.weights, other.weights, share),
-            tuple(torch.lerp(a, b, share) for a, b in made),
+        return replace(
+            self,
+            gel=torch.lerp(self.gel, other.gel, share),
+            nuisances=torch.lerp(self.nuisances, other.nuisances, share),
+            weights=torch.lerp(self.weights, other.weights, share),
+            made=tuple(torch.lerp(a, b, share) for a, b in made),
         )
 
 
 @dataclass(frozen=True)
-class _System:
-    """Whitened rows of all shots and priors about a state: ``residual = fitted d + unknown w +
-    noise``, with ``w`` whole and ``d`` a change.
+class Refit:
+    """A linear refit beside what may be missing.
+
+    Args:
+        solution: change of what is fitted, then the unknown's weights in standard deviations.
+        chol: Cholesky factor of their precision.
+        misfit: whitened squared residual that is left, the priors' part included.
+
+    >>> import torch
+    >>> from imr_torch.unknown.infer import LinearSystem
+    >>> one = torch.ones(1, 1, dtype=torch.float64)
+    >>> refit = LinearSystem(one[0], 0.0 * one[:, :0], one).solve(1.0)  # as much noise as unknown
+    >>> round(float(refit.solution), 3), round(float(refit.root.square()), 3)
+    (0.5, 0.5)
+    """
+
+    solution: Float[Tensor, "columns"]
+    chol: Float[Tensor, "columns columns"]
+    misfit: float
+
+    @property
+    def log_volume(self) -> float:
+        """Log evidence, nats, but for the misfit and a constant that all unknowns share."""
+        return -float(self.chol.diagonal().log().sum())
+
+    @property
+    def log_evidence(self) -> float:
+        """Nats, without that constant."""
+        return self.log_volume - 0.5 * self.misfit
+
+    @cached_property
+    def root(self) -> Float[Tensor, "columns columns"]:
+        """A square root of the covariance of the solution."""
+        return torch.linalg.solve_triangular(self.chol.mT, eye(len(self.solution)), upper=True)
+
+
+@dataclass(frozen=True)
+class LinearSystem:
+    """Whitened rows of all data and priors about a state: ``residual = fitted d + unknown w +
+    noise``, with ``d`` a change, whose prior is among the rows, and ``w`` whole.
+
+    Args:
+        residual: of data and priors.
+        fitted: changes by everything that is fitted.
+        unknown: changes by what may be missing, at its usual size.
     """
 
     residual: Float[Tensor, "rows"]
     fitted: Float[Tensor, "rows coordinates"]
     unknown: Float[Tensor, "rows weights"]
 
-    def solve(self, size: float) -> tuple[Values, Tensor, Tensor]:
-        """Log evidence at a size, nats without the constants that all unknowns share; the solution,
-        its weights at that size; the Cholesky factor of its precision.
-        """
+    def solve(self, size: float) -> Refit:
+        """The refit with an unknown of so many usual sizes."""
         columns = torch.cat((self.fitted, size * self.unknown), 1)
         free = zeros(columns.shape[1])
         free[self.fitted.shape[1] :] = 1.0
         chol = torch.linalg.cholesky(columns.mT @ columns + free.diag())
         seen = columns.mT @ self.residual
         solution = torch.cholesky_solve(seen[:, None], chol)[:, 0]
-        misfit = self.residual.square().sum() - seen @ solution
-        return -chol.diagonal().log().sum() - 0.5 * misfit, solution, chol
+        return Refit(solution, chol, float(self.residual.square().sum() - seen @ solution))
 
 
 @dataclass(frozen=True)
@@ -156,7 +197,7 @@ class _Fit:
 
     state: _State
     responses: tuple[Response, ...]
-    system: _System
+    system: LinearSystem
     size: float
     log_evidence: float
     aim: _State
@@ -185,7 +226,8 @@ def infer_unknown(
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, wide_prior
-    >>> from imr_torch.gap.hypotheses import fit_null
+    >>> from imr_torch.gap.fits import fit_null
+    >>> from imr_torch.gap.hypotheses import Inquiry
     >>> from imr_torch.material import PARAMETERS
     >>> from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
     >>> from imr_torch.unknown import infer_unknown
@@ -194,7 +236,7 @@ def infer_unknown(
     >>> laboratory = SimulatedLaboratory(simulator, truth, repeats=10)
     >>> designs = torch.tensor([[300.0, 0.15], [600.0, 0.25]], dtype=torch.float64)
     >>> batch = ExperimentBatch(tuple(laboratory.shoot(x, seed=i) for i, x in enumerate(designs)))
-    >>> fit = fit_null(wide_prior(["nhkv"])["nhkv"], batch, simulator, seed=0)
+    >>> fit = fit_null(Inquiry(wide_prior(["nhkv"])["nhkv"], batch, simulator), seed=0)
     >>> unknown = infer_unknown(fit, batch, simulator)
     >>> unknown.explained > 10.0, unknown.probabilities["camera"] < 0.01
     (True, True)
@@ -205,13 +247,7 @@ def infer_unknown(
         Shot(fit.prior, replace(batch, experiments=(experiment,)), simulator)
         for experiment in batch.experiments
     )
-    still = _State(
-        fit.mean,
-        fit.nuisances,
-        zeros(0),
-        tuple(zeros(len(shot.moments)) for shot in shots),
-    )
-    search = _Search(shots, still, _respond(shots, still), sizes, rounds)
+    search = _Search(fit, batch.nuisance_sds > 0.0, shots, sizes, rounds)
     paths = [response.path for response in search.responses]
     if not all(bool(torch.isfinite(path.radius).all()) for path in paths):
         return None
@@ -222,37 +258,20 @@ def infer_unknown(
         "sample": flux_kernel(),
     }
     # a pressure in time follows any curve; what else can, begins where it ends
-    fits = {"drive": search.fit(kinds["drive"])}
-    for name in ("material", "contents", "sample"):
-        fits[name] = search.fit(kinds[name], lead=fits["drive"])
+    fits: dict[str, _Fit] = {}
+    for name, columns in kinds.items():
+        fits[name] = search.fit(columns, lead=fits.get("drive"))
     fits[CAMERA] = search.fit(camera_errors, inside=False)
-    base, *_ = _assemble(shots, still, search.responses, ()).solve(1.0)
+    base = search.assemble(search.still, search.responses, ()).solve(1.0)
     logs = {name: found.log_evidence for name, found in fits.items()}
     probabilities = tensor(list(logs.values())).softmax(0).tolist()
     best = max(logs, key=logs.__getitem__)
     outside = best == CAMERA
     return Unknown(
         dict(zip(logs, probabilities, strict=True)),
-        logs[best] - float(base),
+        logs[best] - base.log_evidence,
         {} if outside else _compare_terms(search, fits[best]),
-        () if outside else _missing_pressures(fit, shots, fits[best], kinds[best]),
-    )
-
-
-def _at_state(
-    shots: Sequence[Shot], state: _State, *, inside: bool
-) -> list[tuple[Shot, Tensor, Tensor]]:
-    """Shots with their nuisances and pressures; errors of the camera are undone in the data."""
-    rows = zip(shots, state.nuisances, state.made, strict=True)
-    if inside:
-        return list(rows)
-    return [(shot.reread(made), own, torch.zeros_like(shot.moments)) for shot, own, made in rows]
-
-
-def _respond(shots: Sequence[Shot], state: _State, *, inside: bool = True) -> tuple[Response, ...]:
-    """Responses at a state."""
-    return tuple(
-        shot.respond(state.gel, *own) for shot, *own in _at_state(shots, state, inside=inside)
+        () if outside else _missing_pressures(search, fits[best], kinds[best]),
     )
 
 
@@ -261,18 +280,29 @@ class _Search:
     """Gauss-Newton of any kind.
 
     Args:
+        base: the base model's fit.
+        uncertain: ``E x w`` boolean tensor, nuisances that are uncertain.
         shots: the data.
-        still: the base model's fit, where nothing is missing.
-        responses: there.
         sizes: that the evidence averages over.
         rounds: trajectories that are simulated again, at most.
     """
 
+    base: ModelFit
+    uncertain: Bool[Tensor, "experiments nuisances"]
     shots: Sequence[Shot]
-    still: _State
-    responses: tuple[Response, ...]
     sizes: Sequence[float]
     rounds: int
+
+    @cached_property
+    def still(self) -> _State:
+        """The base model's fit, where nothing is missing."""
+        made = tuple(zeros(len(shot.moments)) for shot in self.shots)
+        return _State(self.base.mean, self.base.nuisances, zeros(0), made)
+
+    @cached_property
+    def responses(self) -> tuple[Response, ...]:
+        """Responses there."""
+        return self.respond(self.still)
 
     def fit(
         self,
@@ -296,114 +326,100 @@ class _Search:
         still = self.still
         if not inside:
             frames = [shot.batch.times.shape[1] for shot in self.shots]
-            still = replace(still, made=tuple(zeros(2 * n) for n in frames))
-        found = self.linearise(columns, still, self.responses, inside=inside)
+            still = replace(still, made=tuple(zeros(2 * n) for n in frames), inside=False)
+        found = self.linearise(columns, still, self.responses)
         found = replace(found, state=replace(still, weights=0.0 * found.aim.weights))
         if lead is not None:
             led = self.linearise(columns, lead.state, lead.responses)
             if self._cost(led.aim, led.size) < self._cost(found.state, led.size):
-                found = self.linearise(columns, led.aim, _respond(self.shots, led.aim))
+                found = self.linearise(columns, led.aim, self.respond(led.aim))
         for _ in range(self.rounds - 1):
-            before = self._cost(found.state, found.size, inside=inside)
+            before = self._cost(found.state, found.size)
             for number in range(halvings):
                 moved = found.state.towards(found.aim, 0.5**number)
-                gain = before - self._cost(moved, found.size, inside=inside)
+                gain = before - self._cost(moved, found.size)
                 if gain > 0.0:  # not where a bubble failed: NaN is not larger
                     break
             else:
                 break
-            there = _respond(self.shots, moved, inside=inside)
-            found = self.linearise(columns, moved, there, inside=inside)
+            found = self.linearise(columns, moved, self.respond(moved))
             if gain < settled:
                 break
         return found
 
-    def linearise(
-        self,
-        columns: Columns,
-        state: _State,
-        responses: tuple[Response, ...],
-        *,
-        inside: bool = True,
-    ) -> _Fit:
+    def linearise(self, columns: Columns, state: _State, responses: tuple[Response, ...]) -> _Fit:
         """A kind about a state that another may have made."""
         pairs = zip(self.shots, responses, strict=True)
         own = tuple(columns(number, *pair) for number, pair in enumerate(pairs))
-        system = _assemble(self.shots, state, responses, own, inside=inside)
+        system = self.assemble(state, responses, own)
         solved = {size: system.solve(size) for size in self.sizes}
-        logs = torch.stack([log for log, _, _ in solved.values()])
+        logs = tensor([refit.log_evidence for refit in solved.values()])
         size = self.sizes[int(logs.argmax())]
         evidence = float(logs.logsumexp(0)) - math.log(len(logs))
-        aim = _aim(self.shots, state, solved[size][1], size, own)
+        aim = self._aim(state, solved[size].solution, size, own)
         return _Fit(state, responses, system, size, evidence, aim)
 
-    def _cost(self, state: _State, size: float, *, inside: bool = True) -> float:
+    def respond(self, state: _State) -> tuple[Response, ...]:
+        """Responses at a state."""
+        return tuple(shot.respond(state.gel, *own) for shot, *own in self._shots_at(state))
+
+    def assemble(
+        self, state: _State, responses: Sequence[Response], columns: Sequence[Tensor]
+    ) -> LinearSystem:
+        """Rows of all shots, and of the priors of gel and nuisances; without columns nothing is
+        unknown.
+        """
+        gel = len(state.gel)
+        coordinates = torch.cat((state.gel, state.nuisances[self.uncertain]))
+        residuals = []
+        unknown = []
+        for number, (shot, response) in enumerate(zip(self.shots, responses, strict=True)):
+            # what the state holds, then each column, as changes of the curve
+            made = torch.cat((state.made[number][:, None], *columns[number : number + 1]), 1)
+            errors = partial(shot.project_errors, prediction=response.prediction)
+            changes = made.mT @ response.pressure if state.inside else errors(made)
+            residuals.append(response.residual + changes[0])
+            unknown.append(changes[1:])
+        by_gel = torch.cat([response.fitted[:gel] for response in responses], 1)
+        by_nuisance = torch.block_diag(*(response.fitted[gel:] for response in responses))
+        data = torch.cat((by_gel, by_nuisance)).mT
+        weights = torch.cat(unknown, 1).mT
+        return LinearSystem(
+            torch.cat((*residuals, coordinates)),
+            torch.cat((data, -eye(len(coordinates)))),
+            torch.nn.functional.pad(weights, (0, 0, 0, len(coordinates))),
+        )
+
+    def _aim(
+        self, state: _State, solution: Tensor, size: float, columns: Sequence[Tensor]
+    ) -> _State:
+        """The state at which a linear solution aims."""
+        parts = (len(state.gel), int(self.uncertain.sum()), columns[0].shape[1])
+        gel, moved, weights = solution.split(parts)
+        nuisances = state.nuisances.clone()
+        nuisances[self.uncertain] += moved
+        weights = size * weights
+        made = tuple(own @ weights for own in columns)
+        return replace(state, gel=state.gel + gel, nuisances=nuisances, weights=weights, made=made)
+
+    def _cost(self, state: _State, size: float) -> float:
         """Negative log of likelihood x priors, nats; infinite where frames would change order."""
         priors = (state.gel, state.nuisances, state.weights / size)
         total = 0.5 * sum(float(x.square().sum()) for x in priors)
         try:
-            seen = _at_state(self.shots, state, inside=inside)
+            seen = self._shots_at(state)
         except InputDataError:
             return math.inf
         for shot, *own in seen:
             total -= float(shot.batch.log_likelihood(shot.predict(state.gel, *own)[None]).sum())
         return total
 
-
-def _assemble(
-    shots: Sequence[Shot],
-    state: _State,
-    responses: Sequence[Response],
-    columns: Sequence[Tensor],
-    *,
-    inside: bool = True,
-) -> _System:
-    """Rows of all shots, and of the priors of gel and nuisances; without columns nothing is unknown."""
-    gel = len(state.gel)
-    own = [row[shot.uncertain] for row, shot in zip(state.nuisances, shots, strict=True)]
-    coordinates = torch.cat((state.gel, *own))
-    residuals = []
-    fitted = []
-    unknown = []
-    place = gel
-    for number, (shot, response) in enumerate(zip(shots, responses, strict=True)):
-        rows = zeros(len(coordinates), len(response.residual))
-        rows[:gel] = response.fitted[:gel]
-        rows[place : place + len(own[number])] = response.fitted[gel:]
-        place += len(own[number])
-        fitted.append(rows)
-        # what the state holds, then each column, as changes of the curve
-        made = torch.cat((state.made[number][:, None], *columns[number : number + 1]), 1)
-        errors = partial(shot.project_errors, prediction=response.prediction)
-        changes = made.mT @ response.pressure if inside else errors(made)
-        residuals.append(response.residual + changes[0])
-        unknown.append(changes[1:])
-    data = torch.cat(fitted, 1).mT
-    weights = torch.cat(unknown, 1).mT
-    return _System(
-        torch.cat((*residuals, coordinates)),
-        torch.cat((data, -eye(len(coordinates)))),
-        torch.nn.functional.pad(weights, (0, 0, 0, len(coordinates))),
-    )
-
-
-def _aim(
-    shots: Sequence[Shot],
-    state: _State,
-    solution: Tensor,
-    size: float,
-    columns: Sequence[Tensor],
-) -> _State:
-    """The state at which a linear solution aims."""
-    place = len(state.gel)
-    nuisances = state.nuisances.clone()
-    for row, shot in zip(nuisances, shots, strict=True):
-        count = len(shot.uncertain)
-        row[shot.uncertain] += solution[place : place + count]
-        place += count
-    weights = size * solution[place:]
-    made = tuple(own @ weights for own in columns)
-    return _State(state.gel + solution[: len(state.gel)], nuisances, weights, made)
+    def _shots_at(self, state: _State) -> list[tuple[Shot, Tensor, Tensor]]:
+        """Shots with their nuisances and pressures; errors of the camera are undone in the data."""
+        rows = list(zip(self.shots, state.nuisances, state.made, strict=True))
+        if state.inside:
+            return rows
+        return [(shot.reread(made), own, zeros(len(shot.moments))) for shot, own, made in rows]
 
 
 def _columns_of_term(term: Callable[[Path], Tensor], responses: Sequence[Response]) -> Columns:
@@ -437,23 +453,24 @@ def _compare_terms(search: _Search, found: _Fit, *, fitted: int = 3) -> dict[str
 
 
 def _missing_pressures(
-    fit: ModelFit, shots: Sequence[Shot], found: _Fit, columns: Columns
+    search: _Search, found: _Fit, columns: Columns
 ) -> tuple[MissingPressure, ...]:
     """The unknown's pressure with its error, given the base model's gel as fitted."""
-    gel = len(fit.mean)
-    away = fit.mean - found.state.gel
+    fitted = search.base.mean
+    gel = len(fitted)
+    away = fitted - found.state.gel
     held = replace(
         found.system,
         residual=found.system.residual - found.system.fitted[:, :gel] @ away,
         fitted=found.system.fitted[:, gel:],
     )
-    _, solution, chol = held.solve(found.size)
+    refit = held.solve(found.size)
     place = held.fitted.shape[1]
-    root = torch.linalg.solve_triangular(chol.mT, eye(len(solution)), upper=True)[place:]
-    surroundings = shots[0].simulator.conditions.surroundings
+    root = refit.root[place:]
+    surroundings = search.shots[0].simulator.conditions.surroundings
     scale = surroundings.far_field_pressure
     missing = []
-    for number, (shot, response) in enumerate(zip(shots, found.responses, strict=True)):
+    for number, (shot, response) in enumerate(zip(search.shots, found.responses, strict=True)):
         path = response.path
         shape = shot.shape_pressure(path.times).mT @ columns(number, shot, response) * found.size
         experiment = shot.batch.curves[0]
@@ -464,7 +481,7 @@ def _missing_pressures(
                 path.times * seconds,
                 path.radius / path.rest_radius,
                 path.rate * path.size / seconds,
-                scale * shape @ solution[place:],
+                scale * shape @ refit.solution[place:],
                 scale * (shape @ root).norm(dim=1),
                 scale * path.own_stress,
             )

@@ -14,7 +14,6 @@ squared exponentials, by a Nystroem basis on states that the bubbles went throug
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
@@ -31,42 +30,30 @@ BACKGROUND = 0.3
 """Size of what may be missing where the gel or the contents have no pressure of their own, p_inf."""
 
 
-@dataclass(frozen=True)
-class NystroemBasis:
-    """Functions of a state whose squares sum to a squared-exponential covariance of unit size.
+def nystroem_basis(
+    states: Float[Tensor, "points state"], *, most: int = 45, apart: float = 0.4
+) -> Callable[[Float[Tensor, "points state"]], Float[Tensor, "points weights"]]:
+    """Functions of a state whose squares sum to a squared-exponential covariance of unit size, on
+    states that occurred (Nystroem); a call of the result has their values.
 
     Args:
-        nodes: ``m x p`` tensor of states, in correlation lengths.
-        root: Cholesky factor of their covariance.
+        states: that occurred, in correlation lengths; nodes are chosen among them, each the farthest
+            from those before it.
+        most: nodes.
+        apart: correlation lengths from which on a further node tells anything.
     """
+    chosen = [0]
+    distance = (states - states[0]).square().sum(1)
+    while len(chosen) < most and float(distance.max()) > apart**2:
+        chosen.append(int(distance.argmax()))
+        distance = torch.minimum(distance, (states - states[chosen[-1]]).square().sum(1))
+    nodes = states[chosen]
+    root = torch.linalg.cholesky(_covariance(nodes, nodes) + 1e-6 * eye(len(nodes)))
 
-    nodes: Float[Tensor, "weights state"]
-    root: Float[Tensor, "weights weights"]
+    def values(points: Tensor) -> Tensor:
+        return torch.linalg.solve_triangular(root, _covariance(points, nodes).mT, upper=False).mT
 
-    @classmethod
-    def through(
-        cls, states: Float[Tensor, "points state"], *, most: int = 45, apart: float = 0.4
-    ) -> "NystroemBasis":
-        """A basis on states in correlation lengths: each the farthest from those before it.
-
-        Args:
-            states: that occurred.
-            most: nodes.
-            apart: correlation lengths from which on a further node tells anything.
-        """
-        chosen = [0]
-        distance = (states - states[0]).square().sum(1)
-        while len(chosen) < most and float(distance.max()) > apart**2:
-            chosen.append(int(distance.argmax()))
-            distance = torch.minimum(distance, (states - states[chosen[-1]]).square().sum(1))
-        nodes = states[chosen]
-        jitter = 1e-6 * eye(len(nodes))
-        return cls(nodes, torch.linalg.cholesky(_covariance(nodes, nodes) + jitter))
-
-    def __call__(self, states: Float[Tensor, "points state"]) -> Float[Tensor, "points weights"]:
-        """Values of the functions."""
-        across = _covariance(states, self.nodes)
-        return torch.linalg.solve_triangular(self.root, across.mT, upper=False).mT
+    return values
 
 
 def _covariance(a: Tensor, b: Tensor) -> Tensor:
@@ -88,7 +75,7 @@ def function_of_state(
     state: Callable[[Path], Tensor], own: Callable[[Path], Tensor], paths: Sequence[Path]
 ) -> Columns:
     """One function of a state for all shots, in proportion to what the model has of its own there."""
-    basis = NystroemBasis.through(torch.cat([state(path) for path in paths]))
+    basis = nystroem_basis(torch.cat([state(path) for path in paths]))
 
     def columns(number: int, shot: Shot, response: Response) -> Tensor:
         path = response.path
@@ -101,7 +88,7 @@ def function_of_state(
 def function_of_time(paths: Sequence[Path], *, length: float = 0.25) -> Columns:
     """A function of time for each shot; ``length`` is its correlation length in t*."""
     longest = max((path.times for path in paths), key=len)
-    basis = NystroemBasis.through(longest[:, None] / length)
+    basis = nystroem_basis(longest[:, None] / length)
 
     def columns(number: int, shot: Shot, response: Response) -> Tensor:
         times = response.path.times
@@ -135,8 +122,8 @@ def flux_kernel(*, width: float = 0.1) -> Columns:
 
 def camera_errors(number: int, shot: Shot, response: Response) -> Tensor:
     """Smooth errors of the radius over R, R*, above smooth errors of the time over R and t, t*."""
-    radii = NystroemBasis.through(torch.linspace(0.0, 1.1, 40).double()[:, None] / 0.3)
-    moments = NystroemBasis.through(torch.linspace(0.0, 4.0, 60).double()[:, None] / 0.8)
+    radii = nystroem_basis(torch.linspace(0.0, 1.1, 40).double()[:, None] / 0.3)
+    moments = nystroem_basis(torch.linspace(0.0, 4.0, 60).double()[:, None] / 0.8)
     by_radius = radii(response.prediction[:, None] / 0.3)
     by_time = moments(shot.batch.times[0][:, None] / 0.8)
     return BACKGROUND * torch.block_diag(by_radius, torch.cat((by_radius, by_time), 1))

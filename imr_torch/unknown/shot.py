@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate import Point, Posterior
@@ -114,11 +114,6 @@ class Shot:
         beyond = 3.0 * SPACING
         last = float(self._experiment.times.max())
         return arange(-beyond, last + beyond, SPACING)
-
-    @cached_property
-    def uncertain(self) -> Int[Tensor, "columns"]:
-        """Columns of nuisances that are uncertain."""
-        return torch.nonzero(self.batch.nuisance_sds[0] > 0.0)[:, 0]
 
     @property
     def _experiment(self) -> Experiment:

@@ -8,9 +8,10 @@ import pytest
 
 from imr_torch.assimilate import SearchOptions
 from imr_torch.gap.adequacy import adequacy_test
-from imr_torch.gap.attribute import Attribution, Inquiry, attribute, reconsider
-from imr_torch.gap.evidence import CheckedEvidence
-from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, laplace_evidence
+from imr_torch.gap.attribute import Attribution, attribute, reconsider
+from imr_torch.gap.fits import fit_hypotheses
+from imr_torch.gap.hypotheses import Hypothesis, Inquiry, laplace_evidence
+from imr_torch.gap.verdict import CheckedEvidence
 from imr_torch.material import LIBRARY
 from imr_torch.simulate import (
     PolytropicSimulator,
@@ -36,7 +37,7 @@ def test_that_a_winner_whose_fit_was_cut_short_is_fitted_to_the_end(monkeypatch)
     null = fit(batch)
     monkeypatch.setattr("imr_torch.gap.attribute._FIT", SearchOptions(starts=2, iterations=2))
     found = attribute(
-        Inquiry(BASE, EFFECTS, batch, SIMULATOR),
+        Inquiry(BASE, batch, SIMULATOR, EFFECTS),
         null,
         Hypothesis(BASE),
         before=adequacy_test(null, EFFECTS, batch, SIMULATOR, seed=1),
@@ -57,7 +58,7 @@ def test_that_an_effect_which_sampling_puts_ahead_is_fitted_to_the_end(monkeypat
         "imr_torch.gap.attribute.check_evidence", lambda *_, **__: {"surface_tension": ahead}
     )
     found = attribute(
-        Inquiry(BASE, EFFECTS, batch, SIMULATOR),
+        Inquiry(BASE, batch, SIMULATOR, EFFECTS),
         null,
         Hypothesis(BASE),
         before=adequacy_test(null, EFFECTS, batch, SIMULATOR, seed=1),
@@ -72,7 +73,7 @@ def test_that_a_fit_that_does_not_converge_is_left_out_and_the_next_one_leads(mo
     batch = shoot({"gas_loss": 0.2})
     null = fit(batch)
 
-    def never(found, *_, **__):
+    def never(_, found, *__, **___):
         loose = replace(found.certificate, converged=False, gradient=1.0)
         return replace(
             found, certificate=loose if "gas_loss" in str(found.prior.names) else found.certificate
@@ -82,7 +83,7 @@ def test_that_a_fit_that_does_not_converge_is_left_out_and_the_next_one_leads(mo
     monkeypatch.setattr("imr_torch.gap.attribute.finish", never)
     with_wall = (LIBRARY["gas_loss"], LIBRARY["wall"])
     before = adequacy_test(null, with_wall, batch, SIMULATOR, seed=1)
-    inquiry = Inquiry(BASE, with_wall, batch, SIMULATOR)
+    inquiry = Inquiry(BASE, batch, SIMULATOR, with_wall)
     fits = attribute(inquiry, null, Hypothesis(BASE), before=before, seed=0)
     assert fits.left_out == ("gas_loss",)
     assert fits.winner.name == "wall"
@@ -96,16 +97,16 @@ def test_that_an_effect_found_beside_a_wrong_one_is_taken_alone_if_it_explains_m
     wrong = LIBRARY["wall"]
     right = LIBRARY["gas_loss"]
     first = attribute(
-        Inquiry(BASE, (wrong,), batch, SIMULATOR),
+        Inquiry(BASE, batch, SIMULATOR, (wrong,)),
         null,
         Hypothesis(BASE),
         before=adequacy_test(null, [wrong], batch, SIMULATOR, seed=1),
         seed=0,
     )
-    inquiry = Inquiry(BASE, (wrong, right), batch, SIMULATOR)
-    both = fit_hypotheses(
-        [Hypothesis(BASE, (wrong, right))], first.fits["wall"], batch, SIMULATOR, seed=0
-    )["wall+gas_loss"]
+    inquiry = Inquiry(BASE, batch, SIMULATOR, (wrong, right))
+    both = fit_hypotheses(inquiry, [Hypothesis(BASE, (wrong, right))], first.fits["wall"], seed=0)[
+        "wall+gas_loss"
+    ]
     before = adequacy_test(null, inquiry.effects, batch, SIMULATOR, seed=0)
     again = reconsider(inquiry, first, "gas_loss", both, before=before, seed=0)
     assert again.winner.name == "gas_loss"

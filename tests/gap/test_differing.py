@@ -10,14 +10,20 @@ import torch
 from imr_torch import PolytropicSimulator
 from imr_torch.assimilate import Point, Posterior, SearchOptions
 from imr_torch.errors import InputDataError
-from imr_torch.gap import diagnose, differing, library
-from imr_torch.gap.differing import fit_alone, fit_differing, gels_of, start_apart
-from imr_torch.gap.hypotheses import (
-    Hypothesis,
+from imr_torch.gap import diagnose, fits, library
+from imr_torch.gap.fits import (
     deviating,
     finish,
+    fit_alone,
+    fit_differing,
     fit_hypotheses,
     fit_null,
+    start_apart,
+)
+from imr_torch.gap.hypotheses import (
+    Hypothesis,
+    Inquiry,
+    gels_of,
     laplace_evidence,
     may_differ,
     scatters,
@@ -48,19 +54,20 @@ def gels() -> ExperimentBatch:
 
 @pytest.fixture(scope="module")
 def null(gels):
-    return fit_null(BASE, gels, SIMULATOR, seed=0)
+    return fit_null(Inquiry(BASE, gels, SIMULATOR), seed=0)
 
 
 @pytest.fixture(scope="module")
 def alone(gels, null):
-    return fit_alone(null, gels, SIMULATOR, seed=0)
+    return fit_alone(Inquiry(BASE, gels, SIMULATOR), null, seed=0)
 
 
 @pytest.fixture(scope="module")
 def apart(gels, null, alone):
     options = SearchOptions()
-    fit = fit_differing(DIFFER, null, alone, gels, SIMULATOR, seed=0, options=options)
-    return fit if fit.certificate.converged else finish(fit, DIFFER.seen(gels), SIMULATOR, seed=0)
+    inquiry = Inquiry(BASE, gels, SIMULATOR, alone=alone)
+    fit = fit_differing(inquiry, DIFFER, null, seed=0, options=options)
+    return fit if fit.certificate.converged else finish(inquiry, fit, DIFFER, seed=0)
 
 
 def test_that_each_experiment_is_seen_with_a_gel_of_its_own(gels) -> None:
@@ -161,7 +168,7 @@ def test_that_a_start_from_single_curves_sees_what_they_see(gels, null, alone) -
     for row, fit in zip(seen, alone, strict=True):
         assert torch.allclose(row[: fit.prediction.shape[1]], fit.prediction[0], atol=1e-3)
     gas_loss = Hypothesis(BASE, (LIBRARY["gas_loss"],))
-    held = fit_hypotheses([gas_loss], null, gels, SIMULATOR, seed=0)["gas_loss"]
+    held = fit_hypotheses(Inquiry(BASE, gels, SIMULATOR), [gas_loss], null, seed=0)["gas_loss"]
     moved = start_apart(gas_loss.differing(), held, alone)
     place = held.prior.names.index("gas_loss")
     assert float(moved.mean[place]) == float(held.mean[place])
@@ -171,11 +178,11 @@ def test_that_a_start_from_single_curves_sees_what_they_see(gels, null, alone) -
 def test_that_the_fit_of_a_curve_that_did_not_converge_is_continued(
     gels, null, monkeypatch
 ) -> None:
-    one = ExperimentBatch(gels.experiments[1:2], gels.noise)
-    (right,) = fit_alone(null, one, SIMULATOR, seed=0)
+    one = Inquiry(BASE, ExperimentBatch(gels.experiments[1:2], gels.noise), SIMULATOR)
+    (right,) = fit_alone(one, null, seed=0)
     short = SearchOptions(iterations=1)
-    monkeypatch.setattr(differing, "_EVERY_START", short)
-    (curve,) = fit_alone(null, one, SIMULATOR, seed=0)
+    monkeypatch.setattr(fits, "_EVERY_START", short)
+    (curve,) = fit_alone(one, null, seed=0)
     assert curve.certificate.converged
     assert curve.cost == pytest.approx(right.cost, abs=1e-3)
 

@@ -19,8 +19,8 @@ from matplotlib.image import imread
 
 from imr_torch.errors import ConvergenceError
 from imr_torch.gap import describe, diagnose, examine, library, to_json
+from imr_torch.gap.document import _fill_template, hidden_row, sections, shown, title
 from imr_torch.gap.figures import gap_figures
-from imr_torch.gap.text import headline, hidden_row, next_step, sections, shown, title
 from imr_torch.material import LIBRARY, PARAMETERS
 from imr_torch.observe import SimulatedLaboratory
 from imr_torch.results import document_page, draw_figures, write_page
@@ -152,7 +152,8 @@ def answered(document: dict, answer: str, shared: str, *, helps: bool | None) ->
         "gels": {"G": [6e3, 8e3, 11e3]} if "gel_scatter" in parts else None,
         "missing": None if named else document["missing"],
     }
-    return made | {"headline": headline(made), "next_step": next_step(made)}
+    words = {"headline": "diagnosis_headline.txt", "next_step": "diagnosis_next_step.txt"}
+    return made | {key: _fill_template(name, made) for key, name in words.items()}
 
 
 def contradictions(document: dict) -> list[str]:

@@ -9,8 +9,9 @@ import pytest
 import torch
 
 from imr_torch.assimilate import Posterior, SearchOptions
-from imr_torch.gap import hypotheses
-from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, fit_null
+from imr_torch.gap import fits
+from imr_torch.gap.fits import fit_hypotheses, fit_null
+from imr_torch.gap.hypotheses import Hypothesis, Inquiry
 from imr_torch.material import LIBRARY, PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, predict
 from imr_torch.random import generator
@@ -36,9 +37,10 @@ def test_that_coarse_bubbles_lead_to_the_minimum_that_others_find(monkeypatch) -
     batch = _leaking()
     null = fit(batch)  # by polytropic bubbles: only where the fits begin
     options = SearchOptions(starts=2, drop_behind=6.0, basin_rounds=0)
-    led = fit_hypotheses(EFFECTS, null, batch, FULL, seed=0, options=options)
-    monkeypatch.setattr(hypotheses, "_TOO_COARSE", -1.0)  # no coarse bubbles
-    direct = fit_hypotheses(EFFECTS, null, batch, FULL, seed=0, options=options)
+    inquiry = Inquiry(BASE, batch, FULL)
+    led = fit_hypotheses(inquiry, EFFECTS, null, seed=0, options=options)
+    monkeypatch.setattr(fits, "_TOO_COARSE", -1.0)  # no coarse bubbles
+    direct = fit_hypotheses(inquiry, EFFECTS, null, seed=0, options=options)
     one = led["gas_loss"]
     other = direct["gas_loss"]
     assert one.certificate.converged
@@ -58,7 +60,8 @@ def test_that_what_coarse_bubbles_leave_behind_has_the_cost_of_the_simulator_and
 ):
     batch = _leaking()
     options = SearchOptions(starts=2, drop_behind=0.5, basin_rounds=0)
-    behind = fit_hypotheses(EFFECTS, fit(batch), batch, FULL, seed=0, options=options)[
+    inquiry = Inquiry(BASE, batch, FULL)
+    behind = fit_hypotheses(inquiry, EFFECTS, fit(batch), seed=0, options=options)[
         "surface_tension"
     ]
     assert not behind.certificate.converged
@@ -76,9 +79,8 @@ def test_that_effects_far_behind_a_fit_that_is_known_are_given_up() -> None:
     null = fit(batch)
     options = SearchOptions(starts=2, drop_behind=6.0, rival=null.cost - 1e5, basin_rounds=0)
     lines: list[str] = []
-    found = fit_hypotheses(
-        EFFECTS, null, batch, FULL, seed=0, options=options, progress=lines.append
-    )
+    inquiry = Inquiry(BASE, batch, FULL, progress=lines.append)
+    found = fit_hypotheses(inquiry, EFFECTS, null, seed=0, options=options)
     assert len(lines) == 8  # where each effect begins, and one iteration; once masked
     assert len(found) == 2
     assert not any(own.certificate.converged for own in found.values())
@@ -87,11 +89,10 @@ def test_that_effects_far_behind_a_fit_that_is_known_are_given_up() -> None:
 def test_that_a_collapse_on_the_wrong_side_of_a_frame_ends_no_search() -> None:
     batch = shoot({"rinf_bias": -0.08}, DESIGNS)
     hypothesis = Hypothesis(BASE, (LIBRARY["rinf_bias"],))
-    null = fit_null(BASE, batch, SIMULATOR, seed=0)
+    inquiry = Inquiry(BASE, batch, SIMULATOR)
+    null = fit_null(inquiry, seed=0)
     options = SearchOptions(starts=2, basin_rounds=0)
-    found = fit_hypotheses([hypothesis], null, batch, SIMULATOR, seed=0, options=options)[
-        "rinf_bias"
-    ]
+    found = fit_hypotheses(inquiry, [hypothesis], null, seed=0, options=options)["rinf_bias"]
     assert (
         found.cost < fit(batch, hypothesis, rinf_bias=-0.08).cost + 0.1
     )  # 33 nats above with every frame from the start
@@ -105,9 +106,7 @@ def test_that_of_two_fits_the_lower_counts_or_one_that_may_get_lower() -> None:
         return replace(ended, cost=ended.cost - ahead, certificate=certificate)
 
     def cost(one, two) -> float:
-        (found,) = {
-            hypotheses.lower(*pair, SearchOptions()).cost for pair in ((one, two), (two, one))
-        }
+        (found,) = {fits.lower(*pair, SearchOptions()).cost for pair in ((one, two), (two, one))}
         return found - ended.cost
 
     assert cost(ended, other(1.0, 1e-4)) == pytest.approx(-1.0)

@@ -3,9 +3,8 @@ import math
 import pytest
 import torch
 
-from imr_torch.gap import locate
 from imr_torch.gap.adequacy import adequacy_test
-from imr_torch.gap.locate import onset, restrict
+from imr_torch.gap.examine import _calibrate, onset, restrict
 from imr_torch.goodness.linear import linearise_fit
 from imr_torch.goodness.phases import PHASES, phase_clock, phase_name
 from imr_torch.observe import Nuisance
@@ -88,7 +87,7 @@ def test_that_calibrated_p_values_are_those_of_the_smallest_of_all_tests() -> No
         torch.tensor([0.02, 0.5], dtype=torch.float64).log(),
         torch.tensor([1e-9], dtype=torch.float64).log(),
     ]
-    p_values = locate._calibrate(observed, [drawn[:2], drawn[2:]])
+    p_values = _calibrate(observed, [drawn[:2], drawn[2:]])
     assert float(p_values[0]) == pytest.approx(1.0 - 0.98**3, abs=0.01)
     assert float(p_values[1]) == pytest.approx(3e-9)
-    assert float(locate._calibrate([torch.zeros(0), observed[1]], [drawn[:0], drawn])[0]) == 1.0
+    assert float(_calibrate([torch.zeros(0), observed[1]], [drawn[:0], drawn])[0]) == 1.0

@@ -7,9 +7,10 @@ import math
 import pytest
 import torch
 
-from imr_torch.gap.evidence import check_evidence
+from imr_torch.gap.adequacy import Adequacy
 from imr_torch.gap.hypotheses import Hypothesis, laplace_evidence
 from imr_torch.gap.lookalike import Likeness, likeness
+from imr_torch.gap.verdict import check_evidence
 from imr_torch.goodness.linear import Linearisation
 from imr_torch.material import LIBRARY, library
 from imr_torch.observe import Experiment, ExperimentBatch
@@ -39,12 +40,17 @@ def direction(degrees: float, *, absorbed: float = 0.0) -> torch.Tensor:
     return row
 
 
+def left(rows, generic, effects) -> Adequacy:
+    """The directions of effects and of generic blocks at that fit."""
+    return Adequacy(None, {}, line(), {}, tuple(effects), rows, generic)
+
+
 @pytest.mark.parametrize(("degrees", "low", "high"), [(2.0, 0.85, 1.0), (80.0, 0.0, 0.02)])
 def test_that_near_effects_are_masked_and_far_ones_are_not(
     degrees: float, low: float, high: float
 ) -> None:
     rows = {e.name: direction(i * degrees) for i, e in enumerate(EFFECTS)}
-    found = likeness(12.0, rows, {}, EFFECTS, line(), seed=0)
+    found = likeness(12.0, left(rows, {}, EFFECTS), seed=0)
     assert low <= found.chance <= high
 
 
@@ -54,15 +60,13 @@ def test_that_the_chance_is_the_power_of_the_test_of_what_is_left() -> None:
     """
     other = torch.zeros(1, SIZE, dtype=torch.float64)
     other[0, 1] = 1.0  # sees what the first leaves of the second
-    left = 3.0
+    remains = 3.0
     degrees = 20.0
-    size = left / math.tan(math.radians(degrees))
+    size = remains / math.tan(math.radians(degrees))
     rows = {"gas_loss": direction(0.0), "wall": direction(degrees)}
+    known = library(["gas_loss", "wall"])
     chances = [
-        likeness(
-            size, rows, {"seen": other}, library(["gas_loss", "wall"]), line(), seed=seed
-        ).chance
-        for seed in range(40)
+        likeness(size, left(rows, {"seen": other}, known), seed=seed).chance for seed in range(40)
     ]
     # two tests (one of rank 1 and chi-square, which sees little) at .05: about Phi(2.24 - 3), less
     # what chi-square adds
@@ -72,7 +76,7 @@ def test_that_the_chance_is_the_power_of_the_test_of_what_is_left() -> None:
 def test_that_members_of_a_family_do_not_mask_each_other() -> None:
     pair = library(["residual_velocity", "trigger_offset"])
     rows = {e.name: direction(i) for i, e in enumerate(pair)} | {"wall": direction(80.0)}
-    found = likeness(20.0, rows, {}, (*pair, LIBRARY["wall"]), line(), seed=0)
+    found = likeness(20.0, left(rows, {}, (*pair, LIBRARY["wall"])), seed=0)
     assert found.chance < 0.02
 
 
@@ -90,7 +94,7 @@ def test_that_the_bayes_factor_averages_to_one_under_a_known_effect() -> None:
 
 
 def test_that_without_known_effects_nothing_is_masked() -> None:
-    assert likeness(5.0, {}, {}, (), line(), seed=0).chance == 0.0
+    assert likeness(5.0, left({}, {}, ()), seed=0).chance == 0.0
 
 
 @pytest.fixture(scope="module")

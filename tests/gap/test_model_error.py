@@ -4,8 +4,7 @@ import pytest
 import torch
 
 from imr_torch.gap import diagnose, library
-from imr_torch.gap.hidden import FOUND, hidden_effects
-from imr_torch.gap.model_error import error_budget, missing_rows, model_error
+from imr_torch.gap.model_error import FOUND, hidden_effects, missing_system, model_error
 from imr_torch.material import LIBRARY
 from tests.gap.synthetic import BASE, DESIGNS, GEL, SIMULATOR, fit, shoot
 
@@ -21,25 +20,28 @@ def matched():
 def test_that_the_budget_is_that_of_generalised_least_squares(matched) -> None:
     """Integrating over what may be missing is noise of covariance ``1 + s^2 B^T B``."""
     line = matched.left.line
-    rows = missing_rows(matched.left)
-    budget = error_budget(matched.null, line, rows, size=2.0)
+    system = missing_system(matched.left)
+    rows = system.unknown.mT
+    refit = system.solve(2.0)
+    fitted = line.fitted.shape[1]
+    root = refit.root[:fitted]
     covariance = torch.eye(len(line.residual), dtype=torch.float64) + 4.0 * rows.mT @ rows
     weighted = torch.linalg.solve(covariance, line.fitted)
     information = line.fitted.mT @ weighted
     right = weighted.mT @ line.residual
     expected = torch.linalg.solve(information, right)
-    assert torch.allclose(budget.mean, expected, atol=1e-7)
+    assert torch.allclose(refit.solution[:fitted], expected, atol=1e-7)
     variance = torch.linalg.inv(information)
-    assert torch.allclose(budget.root @ budget.root.mT, variance, rtol=1e-5, atol=1e-12)
+    assert torch.allclose(root @ root.mT, variance, rtol=1e-5, atol=1e-12)
     square = line.residual @ torch.linalg.solve(covariance, line.residual)
-    assert budget.misfit == pytest.approx(float(square - right @ expected), rel=1e-6)
+    assert refit.misfit == pytest.approx(float(square - right @ expected), rel=1e-6)
     log_det = -0.5 * (torch.logdet(covariance) + torch.logdet(information))
-    assert budget.log_evidence == pytest.approx(float(log_det), abs=1e-5)
+    assert refit.log_volume == pytest.approx(float(log_det), abs=1e-5)
 
 
 def test_that_a_camera_alone_makes_fewer_errors_than_camera_and_equation(matched) -> None:
-    camera = missing_rows(matched.left, inside=False)
-    every = missing_rows(matched.left)
+    camera = missing_system(matched.left, inside=False).unknown.mT
+    every = missing_system(matched.left).unknown.mT
     assert len(every) - len(camera) == sum(map(len, matched.left.directions.values())) + 7 + 8
     assert torch.equal(every[: len(camera)], camera)
 

@@ -7,7 +7,8 @@ from dataclasses import replace
 import pytest
 
 from imr_torch.assimilate import Assimilation, ModelFit, SearchOptions
-from imr_torch.gap import hypotheses
+from imr_torch.gap import fits
+from imr_torch.gap.hypotheses import Hypothesis, Inquiry
 from imr_torch.simulate import PolytropicSimulator
 from tests.gap.synthetic import BASE, DESIGNS, fit, shoot
 
@@ -19,7 +20,7 @@ def known() -> ModelFit:
 
 def _short(times: list[int]):
     """The search, cut off after so many iterations, one entry a call; whole after these."""
-    whole = hypotheses.assimilate
+    whole = fits.assimilate
 
     def search(*args, options=None, **more) -> Assimilation:
         options = options or SearchOptions()
@@ -32,13 +33,13 @@ def _short(times: list[int]):
 
 def test_that_a_fit_without_time_to_arrive_is_taken_up_again(monkeypatch) -> None:
     batch = shoot({}, DESIGNS[:1], repeats=10, end=1.5)
-    simulator = PolytropicSimulator()
-    monkeypatch.setattr(hypotheses, "assimilate", _short([1]))
-    fit = hypotheses.fit_null(BASE, batch, simulator, seed=0)
+    inquiry = Inquiry(BASE, batch, PolytropicSimulator())
+    monkeypatch.setattr(fits, "assimilate", _short([1]))
+    fit = fits.fit_null(inquiry, seed=0)
     assert fit.certificate.converged
-    monkeypatch.setattr(hypotheses, "assimilate", _short([1]))
-    monkeypatch.setattr(hypotheses, "finish", lambda fit, *_, **__: fit)
-    assert not hypotheses.fit_null(BASE, batch, simulator, seed=0).certificate.converged
+    monkeypatch.setattr(fits, "assimilate", _short([1]))
+    monkeypatch.setattr(fits, "finish", lambda _, fit, *__, **___: fit)
+    assert not fits.fit_null(inquiry, seed=0).certificate.converged
 
 
 @pytest.mark.parametrize(
@@ -67,9 +68,10 @@ def test_that_starts_which_arrived_apart_are_certified_only_if_more_of_them_find
         asked.append(options.starts)
         return Assimilation(belief, batch, (searches[len(asked) - 1],))
 
-    monkeypatch.setattr(hypotheses, "assimilate", search)
+    monkeypatch.setattr(fits, "assimilate", search)
     batch = shoot({}, DESIGNS[:1], repeats=2, end=1.5)
-    fit = hypotheses.fit_null(BASE, batch, PolytropicSimulator(), seed=0)
+    inquiry = Inquiry(BASE, batch, PolytropicSimulator())
+    fit = fits.fit_null(inquiry, seed=0)
     assert (fit.cost, fit.certificate.converged) == (cost, converged)
     assert asked == [3, 6]
 
@@ -99,9 +101,8 @@ def test_that_a_fit_taken_up_again_counts_the_agreement_of_starts_that_were_all_
             belief, batch, (ended if near is not None else replace(ended, cost=cost + more),)
         )
 
-    monkeypatch.setattr(hypotheses, "assimilate", search)
+    monkeypatch.setattr(fits, "assimilate", search)
     batch = shoot({}, DESIGNS[:1], repeats=2, end=1.5)
-    assert (
-        hypotheses.finish(before, batch, PolytropicSimulator(), seed=0).certificate.converged
-        is converged
-    )
+    inquiry = Inquiry(BASE, batch, PolytropicSimulator())
+    again = fits.finish(inquiry, before, Hypothesis(BASE), seed=0)
+    assert again.certificate.converged is converged

@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from imr_torch.assimilate import ModelFit
-from imr_torch.gap import refitted
-from imr_torch.gap.refitted import refitted_directions
+from imr_torch.gap import adequacy
+from imr_torch.gap.adequacy import refitted_directions
 from imr_torch.goodness.linear import Linearisation, linearise_fit
 from imr_torch.goodness.score import effect_directions
 from imr_torch.material import LIBRARY, Effect
@@ -72,7 +72,7 @@ def test_that_a_gel_that_cannot_be_simulated_leaves_the_first_order(matched, mon
     effect = one_start("heat_exchange", 0.8)
     raw = effect_directions([effect], best, batch, SIMULATOR, line)
     monkeypatch.setattr(
-        refitted,
+        adequacy,
         "predict_changed",
         lambda *_: torch.full((1, *batch.times.shape), torch.nan, dtype=torch.float64),
     )

@@ -16,7 +16,6 @@ from imr_torch.gap.hypotheses import Hypothesis
 from imr_torch.gap.shrinkage import (
     _KNOTS,
     Shrinkage,
-    _compared,
     _interval,
     _random_changes,
     _select_random,
@@ -128,8 +127,8 @@ def test_that_freedom_alone_earns_nothing(freedom: int) -> None:
         judged = pair(3.0, freedom, seed)
         squares = [float(x.residual.square().sum()) for x in (judged.base, judged.effect)]
         plain.append(1.0 - (squares[1] - 90 + freedom) / (squares[0] - 90))
-        compared = _compared(judged)
-        beside.append(float(compared.base.sum() - compared.effect.sum()))
+        base, effect = judged.excess_by_phase().sum(1)
+        beside.append(float(base - effect))
     assert sum(plain) / 30 > 0.1
     assert max(map(abs, beside)) < 1e-9
 
@@ -178,9 +177,8 @@ def test_that_the_interval_covers_the_mean_over_curves() -> None:
     for _ in range(200):
         base = 5.0 + 10.0 * torch.rand(8, generator=source, dtype=torch.float64)
         share = 0.6 + 0.3 * torch.randn(8, generator=source, dtype=torch.float64)
-        rows = [torch.tensor([x]) for x in base]
-        left = [torch.tensor([x]) for x in base * (1.0 - share)]
-        low, middle, high = _interval(rows, left, source)
+        rows = torch.stack((base, base * (1.0 - share)), 1)[..., None]
+        low, middle, high = _interval(rows, source)
         assert low <= middle <= high
         inside += low <= 0.6 <= high
     assert 0.83 <= inside / 200 <= 0.95
@@ -237,10 +235,10 @@ def test_that_a_quiet_phase_takes_nothing_from_the_gap() -> None:
     gaps = []
     for seed in range(12):
         judged = pair(0.0, 0, seed)
-        phase = _compared(judged).phase
+        phase = judged.phase
         noise = torch.randn(90, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
         residual = torch.where(phase < 2, noise + 1.0, 0.1 * noise)
         loud = replace(judged.base, residual=residual)
-        compared = _compared(replace(judged, base=loud, effect=loud))
-        gaps.append(float(compared.base.sum()) / int((phase < 2).sum()))
+        excess = replace(judged, base=loud, effect=loud).excess_by_phase()[0]
+        gaps.append(float(excess.sum()) / int((phase < 2).sum()))
     assert sum(gaps) / 12 == pytest.approx(1.0, abs=0.3)

@@ -9,8 +9,8 @@ from types import SimpleNamespace
 import pytest
 
 from imr_torch.gap import selection
-from imr_torch.gap.attribute import Attribution, Inquiry
-from imr_torch.gap.hypotheses import Hypothesis
+from imr_torch.gap.attribute import Attribution
+from imr_torch.gap.hypotheses import Hypothesis, Inquiry
 from imr_torch.gap.verdict import (
     PRIOR_NONE,
     PRIOR_SLOW,
@@ -62,9 +62,9 @@ def named(posterior: dict[str, float], winner: str, **about: float):
 
 def selected(p_gap: float):
     left = SimpleNamespace(test=SimpleNamespace(p_value=p_gap, bias_radius=0.02), starts={})
-    batch = SimpleNamespace(experiments=(0,), noise_laws=None)
-    inquiry = Inquiry(BASE, EFFECTS, batch, None)
-    return selection.select_causes(inquiry, None, left, 2, alone=(), seed=0, progress=None)
+    batch = SimpleNamespace(noise_laws=None)
+    inquiry = Inquiry(BASE, batch, None, EFFECTS)
+    return selection.select_causes(inquiry, None, left, seed=0)
 
 
 def test_that_even_evidence_gives_the_prior_over_families_back() -> None:

@@ -9,7 +9,7 @@ from imr_torch.material import PARAMETERS, TERMS, dimensionless, gel_response
 from imr_torch.observe import Nuisance, predict
 from imr_torch.simulate import PolytropicSimulator, TabulatedDriving
 from imr_torch.unknown import NOTHING_KNOWN, infer_unknown
-from imr_torch.unknown.kinds import NystroemBasis, flux_kernel
+from imr_torch.unknown.kinds import flux_kernel, nystroem_basis
 from imr_torch.unknown.shot import Shot
 from tests.gap.synthetic import BASE, DESIGNS, GEL, SIMULATOR, fit, shoot
 
@@ -69,7 +69,7 @@ def test_that_responses_are_the_slopes_of_predictions() -> None:
 def test_that_a_basis_has_the_covariance_that_it_stands_for() -> None:
     states = torch.rand(200, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     states = 3.0 * states
-    values = NystroemBasis.through(states, most=60, apart=0.2)(states)
+    values = nystroem_basis(states, most=60, apart=0.2)(states)
     exact = (-0.5 * torch.cdist(states, states).square()).exp()
     assert float((values @ values.mT - exact).abs().max()) < 0.02
 
