@@ -358,7 +358,7 @@ def start_apart(hypothesis: Hypothesis, near: ModelFit, alone: Sequence[ModelFit
     for name, scatter in scatters(hypothesis.base).items():
         place = prior.names.index(name)
         of_curves = prior.physical(gels)[:, place]
-        deviations.append(scatter.deviation(of_curves, common[place]) / scatter.relative)
+        deviations.append((of_curves.log() - common[place].log()) / scatter)
     mean = near.mean.clone()
     mean[[near.prior.names.index(name) for name in prior.names]] = gels.mean(0)
     nuisances = torch.cat([fit.nuisances[:, : len(NUISANCES)] for fit in alone])

@@ -198,6 +198,6 @@ def gels_of(fit: ModelFit, hypothesis: Hypothesis) -> dict[str, list[float]]:
     common = dict(zip(fit.prior.names, fit.prior.physical(fit.mean), strict=True))
     between = scatters(hypothesis.base).items()
     return {
-        name: scatter.moved(common[name], scatter.relative * column).tolist()
+        name: (common[name] * (scatter * column).exp()).tolist()
         for (name, scatter), column in zip(between, deviations.unbind(1), strict=True)
     }
