@@ -1,8 +1,8 @@
 """From laws to compiled code: what is compiled, where it is kept, and when it is compiled anew.
 
-The common stress laws, and all effects, radial equations and gas laws, are put
-into one small generated module, ``laws``, each kind as one function that calls those that act;
-every other stress law is a module by itself (:mod:`~imr_torch.simulate.compiled.address`). The
+The common stress laws and all effects are put into one small generated module, ``laws``, each kind
+as one function that calls those that act, beside the laws of the radial equation, its liquid and the
+gas; every other stress law is a module by itself (:mod:`~imr_torch.simulate.compiled.address`). The
 modules of this folder whose functions are kernels are loaded beside it as a package of their own,
 so that a second registry gets kernels of its own. Numba compiles an entry point once and keeps the
 machine code next to the generated module. The folder is named by a hash of the code of the engine
@@ -21,7 +21,7 @@ import sys
 import tempfile
 import time
 import types
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -45,35 +45,31 @@ class Registry:
     Args:
         terms: stress terms whose laws it holds.
         effects: effects with laws that act at every step.
-        radial: laws of radial equations.
-        liquids: laws of liquids.
-        gases: laws of polytropic gas.
+        radial: law of the radial equation.
+        liquid: law of its liquid.
+        gas: law of polytropic gas.
     """
 
     terms: tuple[StressTerm, ...]
     effects: tuple[Effect, ...]
-    radial: tuple[Law, ...]
-    liquids: tuple[Law, ...]
-    gases: tuple[Law, ...]
+    radial: Law
+    liquid: Law
+    gas: Law
 
-    def named_laws(self) -> Iterator[tuple[str, Law]]:
-        """Every law with its name in the generated module."""
-        groups: dict[str, Sequence[Law | None]] = {
-            "law": [term.law for term in self.terms],
-            **{kind: [getattr(effect, kind) for effect in self.effects] for kind in _EFFECTS},
-            "radial": self.radial,
-            "liquid": self.liquids,
-            "gas": self.gases,
-        }
-        for kind, group in groups.items():
-            yield from ((f"{kind}_{i}", law) for i, law in enumerate(group) if law is not None)
+    def named_laws(self) -> dict[str, Law]:
+        """Every law by its name in the generated module."""
+        named = {"radial_law": self.radial, "liquid_law": self.liquid, "gas_law": self.gas}
+        named |= {f"stress_{i}": term.law for i, term in enumerate(self.terms)}
+        for i, effect in enumerate(self.effects):
+            named |= {f"{kind}_{i}": getattr(effect, kind) for kind in _EFFECTS}
+        return {name: law for name, law in named.items() if law is not None}
 
 
 @functools.cache
 def load_engine(registry: Registry) -> types.ModuleType:
     """The generated module of a registry, with ``solve_transport`` and ``solve_polytropic``."""
     blocks = (transport.solve_block, polytropic.solve_block)
-    return load_generated(source_of(registry), dict(registry.named_laws()), blocks)
+    return load_generated(source_of(registry), registry.named_laws(), blocks)
 
 
 def load_generated(
@@ -154,14 +150,12 @@ def source_of(registry: Registry) -> str:
     >>> "if on[0]:  # newtonian" in source_of(registry_of(Conditions()))
     True
     """
+    row = ", ".join(f"row[{i}]" for i in range(len(Numbers._fields)))
     parts = [
         _HEAD,
+        f"@kernel\ndef numbers(row):\n    return Numbers({row})",
         _write_stress(registry.terms),
         _write_effects(registry.effects),
-        _write_choice("radial", registry.radial),
-        _write_choice("liquid", registry.liquids),
-        _write_choice("gas", registry.gases),
-        _write_numbers(),
         _write_entry("transport", transport.solve_block),
         _write_entry("polytropic", polytropic.solve_block),
     ]
@@ -174,7 +168,16 @@ import functools
 
 from imr_torch.elementary import kernel
 from imr_torch.simulate.bubbles import Numbers
-from imr_torch.simulate.compiled.address import call_law'''
+from imr_torch.simulate.compiled.address import call_law
+
+radial = kernel(radial_law)
+liquid = kernel(liquid_law)
+gas = kernel(gas_law)
+
+
+@kernel
+def add_parts(one, other):
+    return one[0] + other[0], one[1] + other[1], one[2] + other[2]'''
 
 
 def _write_entry(physics: str, block: Any) -> str:
@@ -194,43 +197,39 @@ def _theta_columns(names: Sequence[str]) -> str:
 
 def _write_stress(terms: Sequence[StressTerm]) -> str:
     """The sum of the terms that act, and the rates of their memory."""
-    lines = [
-        "@kernel",
-        "def stress(radius, velocity, rest_radius, on, theta, memory, rates, others):",
-        "    value = 0.0 * radius",
-        "    rate = value",
-        "    acceleration = value",
-        "    k = 0",
-    ]
+    text = """@kernel
+def stress(radius, velocity, rest_radius, on, theta, memory, rates, others):
+    value = 0.0 * radius
+    rate = value
+    acceleration = value
+    k = 0"""
     for i, term in enumerate(terms):
         states = "".join(f", memory[k + {j}]" for j in range(term.states))
         changes = "".join(f", rates[k + {j}]" for j in range(term.states))
-        lines += [
-            f"    if on[{i}]:  # {term.name}",
-            f"        v, r, a{changes} = law_{i}(radius, velocity, "
-            f"rest_radius{states}{_theta_columns(term.names)})",
-            "        value += v",
-            "        rate += r",
-            "        acceleration += a",
-        ]
-        lines += [f"        k += {term.states}"] if term.states else []
-    lines += [
-        "    for i in range(len(others)):",
-        f"        if on[{len(terms)} + i]:",
-        "            point = radius, velocity",
-        "            v, r, a = call_law(others[i], point, rest_radius, theta, memory, rates, k)",
-        "            value += v",
-        "            rate += r",
-        "            acceleration += a",
-        "            k += others[i, 2]",
-    ]
-    return "\n".join([*lines, "    return value, rate, acceleration"])
+        parameters = _theta_columns(term.names)
+        text += f"""
+    if on[{i}]:  # {term.name}
+        v, r, a{changes} = stress_{i}(radius, velocity, rest_radius{states}{parameters})
+        value += v
+        rate += r
+        acceleration += a
+        k += {term.states}"""
+    return f"""{text}
+    for i in range(len(others)):
+        if on[{len(terms)} + i]:
+            point = radius, velocity
+            v, r, a = call_law(others[i], point, rest_radius, theta, memory, rates, k)
+            value += v
+            rate += r
+            acceleration += a
+            k += others[i, 2]
+    return value, rate, acceleration"""
 
 
 _EFFECTS = {
-    "gas_loss": ("radius, velocity, rest_radius", "0.0 * radius", "+"),
-    "vapour": ("compression", "1.0 + 0.0 * compression", "*"),
-    "far_field": ("time", "(0.0, 0.0, 0.0)", "+"),
+    "gas_loss": ("radius, velocity, rest_radius", "0.0 * radius", "total + {}"),
+    "vapour": ("compression", "1.0 + 0.0 * compression", "total * {}"),
+    "far_field": ("time", "(0.0, 0.0, 0.0)", "add_parts(total, {})"),
 }
 """Kind of law -> its arguments beside parameters, its value where none acts, and how several add up."""
 
@@ -238,48 +237,16 @@ _EFFECTS = {
 def _write_effects(effects: Sequence[Effect]) -> str:
     """The laws of effects, each kind put together."""
     functions = []
-    for kind, (arguments, nothing, operator) in _EFFECTS.items():
-        lines = ["@kernel", f"def {kind}({arguments}, on, theta):", f"    total = {nothing}"]
+    for kind, (arguments, nothing, combined) in _EFFECTS.items():
+        text = f"@kernel\ndef {kind}({arguments}, on, theta):\n    total = {nothing}"
         for i, effect in enumerate(effects):
-            if getattr(effect, kind) is None:
-                continue
-            call = f"{kind}_{i}({arguments}{_theta_columns(effect.names)})"
-            lines += [f"    if on[{i}]:  # {effect.name}"]
-            if kind == "far_field":
-                lines += [
-                    f"        v, r, a = {call}",
-                    "        total = (total[0] + v, total[1] + r, total[2] + a)",
-                ]
-            else:
-                lines += [f"        total = total {operator} {call}"]
-        functions.append("\n".join([*lines, "    return total"]))
+            if getattr(effect, kind) is not None:
+                call = f"{kind}_{i}({arguments}{_theta_columns(effect.names)})"
+                text += (
+                    f"\n    if on[{i}]:  # {effect.name}\n        total = {combined.format(call)}"
+                )
+        functions.append(f"{text}\n    return total")
     return "\n\n\n".join(functions)
-
-
-def _write_choice(kind: str, laws: Sequence[Law]) -> str:
-    """One function that calls the law of a number.
-
-    Arguments that the shortest law lacks come out of one array.
-    """
-    signatures = [tuple(inspect.signature(law).parameters) for law in laws]
-    common = min(signatures, key=len)
-    arguments = ", ".join(common)
-    lines = ["@kernel", f"def {kind}(kind, {arguments}, constants):"]
-    for i, (law, own) in enumerate(zip(laws, signatures, strict=True)):
-        call = f"{kind}_{i}({arguments}{_entries(len(own) - len(common))})"
-        lines += [f"    if kind == {i}:  # {law.__qualname__}", f"        return {call}"]
-    lines[-2] = "    # " + laws[-1].__qualname__
-    lines[-1] = lines[-1][4:]
-    return "\n".join(lines)
-
-
-def _entries(count: int) -> str:
-    return "".join(f", constants[{j}]" for j in range(count))
-
-
-def _write_numbers() -> str:
-    values = ", ".join(f"row[{i}]" for i in range(len(Numbers._fields)))
-    return f"@kernel\ndef numbers(row):\n    return Numbers({values})"
 
 
 def _cache_folder(name: str) -> Path:
