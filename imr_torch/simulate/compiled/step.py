@@ -64,6 +64,8 @@ def _lower(rows: tuple[tuple[float, ...], ...]) -> np.ndarray:
 
 _ARGUMENT = _lower(ROWS)
 _COUPLING = _lower(COUPLING)
+_TIME_INCREMENTS = np.array(TIME_INCREMENTS)
+_MOMENTS = np.array(MOMENTS)
 
 
 class Space(NamedTuple):
@@ -302,8 +304,8 @@ def field_slopes(point, space, work, member):
     for i in range(n):
         node = node_at(i, space, work)
         s = node_slopes(node, point, b, c)
-        for k in range(6):
-            factors[k, i] = s[k]
+        factors[0, i], factors[1, i], factors[2, i] = s.heat_self, s.heat_first, s.heat_second
+        factors[3, i], factors[4, i], factors[5, i] = s.vapour_self, s.vapour_first, s.vapour_second
         heat_wall = s.heat_second * space.inside[0, bends + i] + s.heat_first * space.inside[0, i]
         vapour_wall = (
             s.vapour_second * space.inside[0, bends + i] + s.vapour_first * space.inside[0, i]
@@ -545,7 +547,7 @@ def advance_state(state, time, h, space, work, member, out):
             add_increments(_ARGUMENT[stage], stage, 1.0, increments, argument)
             there, _ = point_at(argument, space, work, member)
             force = move_wall(
-                time + MOMENTS[stage] * h,
+                time + _MOMENTS[stage] * h,
                 there.radius,
                 there.velocity,
                 there.pressure + member.b.constant_vapour,
@@ -558,7 +560,7 @@ def advance_state(state, time, h, space, work, member, out):
             balance = right[3]
             add_increments(_COUPLING[stage], stage, 1.0 / h, increments, right)
             right[3] = balance  # tau_w is algebraic
-        right[1] += work.slopes[4] * h * TIME_INCREMENTS[stage]
+        right[1] += work.slopes[4] * h * _TIME_INCREMENTS[stage]
         solve_system(right, space, work, increments[stage])
     for i in range(size):
         out[i] = argument[i] + increments[STAGES - 1, i]
