@@ -150,12 +150,11 @@ def source_of(registry: Registry) -> str:
     >>> "if on[0]:  # newtonian" in source_of(registry_of(Conditions()))
     True
     """
-    row = ", ".join(f"row[{i}]" for i in range(len(Numbers._fields)))
     parts = [
         _HEAD,
-        f"@kernel\ndef numbers(row):\n    return Numbers({row})",
         _write_stress(registry.terms),
         _write_effects(registry.effects),
+        _write_numbers(),
         _write_entry("transport", transport.solve_block),
         _write_entry("polytropic", polytropic.solve_block),
     ]
@@ -172,12 +171,7 @@ from imr_torch.simulate.compiled.address import call_law
 
 radial = kernel(radial_law)
 liquid = kernel(liquid_law)
-gas = kernel(gas_law)
-
-
-@kernel
-def add_parts(one, other):
-    return one[0] + other[0], one[1] + other[1], one[2] + other[2]'''
+gas = kernel(gas_law)'''
 
 
 def _write_entry(physics: str, block: Any) -> str:
@@ -197,39 +191,43 @@ def _theta_columns(names: Sequence[str]) -> str:
 
 def _write_stress(terms: Sequence[StressTerm]) -> str:
     """The sum of the terms that act, and the rates of their memory."""
-    text = """@kernel
-def stress(radius, velocity, rest_radius, on, theta, memory, rates, others):
-    value = 0.0 * radius
-    rate = value
-    acceleration = value
-    k = 0"""
+    lines = [
+        "@kernel",
+        "def stress(radius, velocity, rest_radius, on, theta, memory, rates, others):",
+        "    value = 0.0 * radius",
+        "    rate = value",
+        "    acceleration = value",
+        "    k = 0",
+    ]
     for i, term in enumerate(terms):
         states = "".join(f", memory[k + {j}]" for j in range(term.states))
         changes = "".join(f", rates[k + {j}]" for j in range(term.states))
-        parameters = _theta_columns(term.names)
-        text += f"""
-    if on[{i}]:  # {term.name}
-        v, r, a{changes} = stress_{i}(radius, velocity, rest_radius{states}{parameters})
-        value += v
-        rate += r
-        acceleration += a
-        k += {term.states}"""
-    return f"""{text}
-    for i in range(len(others)):
-        if on[{len(terms)} + i]:
-            point = radius, velocity
-            v, r, a = call_law(others[i], point, rest_radius, theta, memory, rates, k)
-            value += v
-            rate += r
-            acceleration += a
-            k += others[i, 2]
-    return value, rate, acceleration"""
+        lines += [
+            f"    if on[{i}]:  # {term.name}",
+            f"        v, r, a{changes} = stress_{i}(radius, velocity, "
+            f"rest_radius{states}{_theta_columns(term.names)})",
+            "        value += v",
+            "        rate += r",
+            "        acceleration += a",
+        ]
+        lines += [f"        k += {term.states}"] if term.states else []
+    lines += [
+        "    for i in range(len(others)):",
+        f"        if on[{len(terms)} + i]:",
+        "            point = radius, velocity",
+        "            v, r, a = call_law(others[i], point, rest_radius, theta, memory, rates, k)",
+        "            value += v",
+        "            rate += r",
+        "            acceleration += a",
+        "            k += others[i, 2]",
+    ]
+    return "\n".join([*lines, "    return value, rate, acceleration"])
 
 
 _EFFECTS = {
-    "gas_loss": ("radius, velocity, rest_radius", "0.0 * radius", "total + {}"),
-    "vapour": ("compression", "1.0 + 0.0 * compression", "total * {}"),
-    "far_field": ("time", "(0.0, 0.0, 0.0)", "add_parts(total, {})"),
+    "gas_loss": ("radius, velocity, rest_radius", "0.0 * radius", "+"),
+    "vapour": ("compression", "1.0 + 0.0 * compression", "*"),
+    "far_field": ("time", "(0.0, 0.0, 0.0)", "+"),
 }
 """Kind of law -> its arguments beside parameters, its value where none acts, and how several add up."""
 
@@ -237,16 +235,27 @@ _EFFECTS = {
 def _write_effects(effects: Sequence[Effect]) -> str:
     """The laws of effects, each kind put together."""
     functions = []
-    for kind, (arguments, nothing, combined) in _EFFECTS.items():
-        text = f"@kernel\ndef {kind}({arguments}, on, theta):\n    total = {nothing}"
+    for kind, (arguments, nothing, operator) in _EFFECTS.items():
+        lines = ["@kernel", f"def {kind}({arguments}, on, theta):", f"    total = {nothing}"]
         for i, effect in enumerate(effects):
-            if getattr(effect, kind) is not None:
-                call = f"{kind}_{i}({arguments}{_theta_columns(effect.names)})"
-                text += (
-                    f"\n    if on[{i}]:  # {effect.name}\n        total = {combined.format(call)}"
-                )
-        functions.append(f"{text}\n    return total")
+            if getattr(effect, kind) is None:
+                continue
+            call = f"{kind}_{i}({arguments}{_theta_columns(effect.names)})"
+            lines += [f"    if on[{i}]:  # {effect.name}"]
+            if kind == "far_field":
+                lines += [
+                    f"        v, r, a = {call}",
+                    "        total = (total[0] + v, total[1] + r, total[2] + a)",
+                ]
+            else:
+                lines += [f"        total = total {operator} {call}"]
+        functions.append("\n".join([*lines, "    return total"]))
     return "\n\n\n".join(functions)
+
+
+def _write_numbers() -> str:
+    values = ", ".join(f"row[{i}]" for i in range(len(Numbers._fields)))
+    return f"@kernel\ndef numbers(row):\n    return Numbers({values})"
 
 
 def _cache_folder(name: str) -> Path:

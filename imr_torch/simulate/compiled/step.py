@@ -304,8 +304,8 @@ def field_slopes(point, space, work, member):
     for i in range(n):
         node = node_at(i, space, work)
         s = node_slopes(node, point, b, c)
-        factors[0, i], factors[1, i], factors[2, i] = s.heat_self, s.heat_first, s.heat_second
-        factors[3, i], factors[4, i], factors[5, i] = s.vapour_self, s.vapour_first, s.vapour_second
+        for k in range(6):
+            factors[k, i] = s[k]
         heat_wall = s.heat_second * space.inside[0, bends + i] + s.heat_first * space.inside[0, i]
         vapour_wall = (
             s.vapour_second * space.inside[0, bends + i] + s.vapour_first * space.inside[0, i]
@@ -381,20 +381,19 @@ def linearise_state(state, time, space, work, member):
     s[2], s[3] = pressure * (s[2] + log_rate * s[3]), pressure * s[3]
     q = pressure_rate_slopes(point, corner, loss, b, c)
     w = wall_balance_slopes(point, corner, outer_corner, b, c)
-    write_balance(q, pressure, pressure, work.wall_rows[0])
+    write_balance(q, pressure, log_rate, pressure, work.wall_rows[0])
     work.wall_rows[0, 2] -= log_rate
-    write_balance(w, pressure, 1.0, work.wall_rows[1])
+    write_balance(w, pressure, log_rate, 1.0, work.wall_rows[1])
     return log_rate
 
 
 @kernel
-def write_balance(slopes, pressure, divisor, row):
-    """Derivatives in (R, U, ln P, q, ...) over a divisor from those in (R, U, P, dP/dt, ...), of which
-    that in dP/dt is 0.
-    """
+def write_balance(slopes, pressure, log_rate, divisor, row):
+    """Derivatives in (R, U, ln P, q, ...) over a divisor from those in (R, U, P, dP/dt, ...)."""
     for k in range(len(slopes)):
         row[k] = slopes[k] / divisor
-    row[2] = pressure * slopes.pressure / divisor
+    row[2] = pressure * (slopes.pressure + log_rate * slopes.rate) / divisor
+    row[3] = pressure * slopes.rate / divisor
 
 
 @partial(kernel, inline="source")
