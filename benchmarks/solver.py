@@ -36,7 +36,7 @@ from imr_torch.simulate import (
     TransportSimulator,
 )
 from imr_torch.simulate.bubbles import Bubbles
-from imr_torch.simulate.polytropic import head_of, rate_of
+from imr_torch.simulate.polytropic import head_of, rate_of, start_of
 from tests.simulate.scipy_reference import ScipySimulator
 
 TIMES = torch.linspace(0.0, 4.0, 81, dtype=torch.float64)
@@ -154,13 +154,11 @@ def plain_dopri5(count: int) -> Callable[[], Any]:
     """The same bubbles by torchdiffeq with one adaptive step for the whole batch."""
     parameters, designs = draws(count, "cpu")
     bubbles = Bubbles.of(parameters, designs, Conditions())
-    one = torch.ones(count, dtype=torch.float64)
-    start = torch.stack((one, 0.0 * one, 0.0 * one))
 
     def rate(_: torch.Tensor, state: torch.Tensor) -> torch.Tensor:
         return rate_of(bubbles, head_of(bubbles, state), state)
 
-    return lambda: odeint(rate, start, TIMES, method="dopri5", rtol=1e-5, atol=1e-7)
+    return lambda: odeint(rate, start_of(bubbles), TIMES, method="dopri5", rtol=1e-5, atol=1e-7)
 
 
 def measure_device(device: str) -> dict[str, float]:

@@ -34,21 +34,11 @@ sinh = torch.sinh
 asinh = torch.asinh
 expm1 = torch.expm1
 log1p = torch.log1p
-
-
-def where(condition: Scalar, chosen: Scalar, other: Scalar) -> Tensor:
-    """``chosen`` where the condition holds, else ``other``.
-
-    The condition compares real numbers, see :func:`real`.
-    """
-    return torch.where(condition, chosen, other)
-
-
-def real(x: Scalar) -> Tensor:
-    """The real part, for conditions: inside a derivative by complex step, a variable carries an
-    imaginary part.
-    """
-    return torch.real(x)
+where: Law = torch.where
+"""``where(condition, chosen, other)``; the condition compares real numbers, see ``real``."""
+real = torch.real
+"""The real part, for conditions: inside a derivative by complex step, a variable carries an imaginary
+part."""
 
 
 def power(base: Scalar, exponent: Scalar) -> Tensor:
@@ -139,9 +129,7 @@ def kernel(
     """
     from numba import njit
 
-    _teach_elementary()
-    for law in _laws_called_by(function):
-        _teach_law(law)
+    _teach_called(function)
     whole = "always" if inline == "source" else "never"
     forced = inline == "machine"
     wrappers = {} if cache else _NO_WRAPPERS
@@ -154,9 +142,7 @@ def compile_pointer(function: Law, signature: Any) -> Any:
     """
     from numba import cfunc
 
-    _teach_elementary()
-    for law in _laws_called_by(function):
-        _teach_law(law)
+    _teach_called(function)
     return cfunc(signature, cache=True, **_OPTIONS)(function)
 
 
@@ -193,20 +179,21 @@ def _teach_elementary() -> None:
     overload(find)(lambda knots, x: find_number)
 
 
+def _teach_called(function: Law) -> None:
+    """Let compiled functions call the laws that a function calls."""
+    _teach_elementary()
+    for law in inspect.getclosurevars(function).globals.values():
+        if isinstance(law, types.FunctionType) and law not in _KNOWN:
+            _teach_law(law)
+
+
 @functools.cache
 def _teach_law(law: Law) -> None:
     """Let compiled functions call a law, and those that it calls."""
     from numba.extending import register_jitable
 
-    for called in _laws_called_by(law):
-        _teach_law(called)
+    _teach_called(law)
     register_jitable(**_NO_WRAPPERS, **_OPTIONS)(law)
-
-
-def _laws_called_by(function: Law) -> list[Law]:
-    """The plain functions that a function calls, other than those of this module's list."""
-    values = inspect.getclosurevars(function).globals.values()
-    return [x for x in values if isinstance(x, types.FunctionType) and x not in _KNOWN]
 
 
 def code_of(function: Law) -> Iterator[bytes]:

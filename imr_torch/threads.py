@@ -1,4 +1,5 @@
-"""Threads of tensor operators: one, where tensors are small.
+"""Threads of tensor operators, which are one where tensors are small, and pools of processes for work
+that holds many solves: fits of many files, studies of campaigns.
 
 Fits, designs and campaigns work on tensors of some hundred numbers. PyTorch shares even these among
 all cores, which gains nothing on an idle machine and costs tens of times the work where other
@@ -7,11 +8,18 @@ simulators), which this does not touch.
 """
 
 import os
-from collections.abc import Iterator
+import signal
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from threading import Lock
+from importlib import import_module
+from multiprocessing import get_context, parent_process
+from multiprocessing.process import BaseProcess
+from threading import Lock, Thread
 
 import torch
+
+from imr_torch.errors import InputDataError
 
 _lock = Lock()
 _blocks = {
@@ -56,3 +64,46 @@ def cores() -> int:
     True
     """
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def process_pool(workers: int, modules: Sequence[str] = ()) -> ProcessPoolExecutor:
+    """A pool of fresh processes on this machine; a script that makes one needs an ``if __name__ ==
+    "__main__":``.
+
+    Args:
+        workers: how many; at most as many as there are idle cores.
+        modules: what each process imports first, such as a module that registers a model.
+
+    Raises:
+        InputDataError: if there are none.
+
+    >>> from imr_torch.simulate import process_pool
+    >>> pool = process_pool(2)  # processes start with the first task
+    >>> pool.shutdown()
+    """
+    if workers < 1:
+        raise InputDataError(f"process_pool: workers is {workers}; expected at least 1.")
+    return ProcessPoolExecutor(
+        workers,
+        mp_context=get_context("spawn"),
+        initializer=_prepare_worker,
+        initargs=(modules,),
+    )
+
+
+def _prepare_worker(modules: Sequence[str]) -> None:
+    """Import modules. Leave Ctrl-C, which reaches all processes of a terminal, to the process that started this
+    one, and end when that ends.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for name in modules:
+        import_module(name)
+    parent = parent_process()
+    if parent is not None:
+        Thread(target=_end_with, args=(parent,), daemon=True).start()
+
+
+def _end_with(parent: BaseProcess) -> None:
+    """End this process, whatever it does, when another one has ended."""
+    parent.join()
+    os._exit(1)

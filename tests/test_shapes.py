@@ -63,13 +63,13 @@ REFUSED = (
 )  # wrong shapes, which the check meets before the code does
 WRONG = """
 import torch
-from imr_torch.material import Stress
+from imr_torch.material import Draws
 
 def test_that_fits():
-    Stress(torch.zeros(3), torch.zeros(3), torch.zeros(3))
+    Draws(torch.zeros(3, dtype=torch.long), torch.zeros(3, 2))
 
 def test_that_does_not_fit():
-    Stress(torch.zeros(3), torch.zeros(3), torch.zeros(2))
+    Draws(torch.zeros(3, dtype=torch.long), torch.zeros(2, 2))
 """
 
 
@@ -105,4 +105,4 @@ def test_that_tensors_have_the_shapes_of_their_annotations(checked):
 def test_that_a_wrong_shape_is_found(checked):
     assert "FAILED ::test_that_does_not_fit" in checked
     assert "jaxtyping.TypeCheckError" in checked
-    assert "acceleration" in checked
+    assert "parameters" in checked

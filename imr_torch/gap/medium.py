@@ -20,7 +20,7 @@ from imr_torch.material import PARAMETERS
 from imr_torch.observe import ExperimentBatch, GelMedium, predict
 from imr_torch.observe.medium import label
 from imr_torch.simulate import Simulator
-from imr_torch.simulate.medium import OF_MEDIUM
+from imr_torch.simulate.setting import OF_MEDIUM
 
 DEVIATIONS = {
     "density": 1.03,

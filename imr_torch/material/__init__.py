@@ -1,6 +1,5 @@
 """The gel: parameters, constitutive models, effects, and what is believed of them."""
 
-import imr_torch.material.effects  # noqa: F401 - which registers those of the package
 from imr_torch.material.belief import Belief, Draws
 from imr_torch.material.cases import CASES, ReferenceCase, reference_case, wide_prior
 from imr_torch.material.effect import LIBRARY, Effect, library, register_effect

@@ -163,13 +163,6 @@ def stretched(
     return value - before, rate - before_rate, 0.0
 
 
-DAMAGE = StressTerm(damaged, switch="damage", states=1, fastest=_healing_rate)
-VISCOUS_DAMAGE = StressTerm(thinned_by_damage, switch="viscous_damage", states=1)
-YIELD_STRESS = StressTerm(yielding, switch="yield_stress")
-GRADED_MODULUS = StressTerm(graded, switch="graded_modulus")
-PERMANENT_SET = StressTerm(stretched, switch="permanent_set")
-
-
 def _signed_square(x: Scalar) -> tuple[Scalar, Scalar]:
     """``x|x|`` and its derivative."""
     size = sqrt(x * x + SMOOTH * SMOOTH)
@@ -242,16 +235,22 @@ def squared_rate(
     )
 
 
-CLOSURE = tuple(
-    StressTerm(law, switch=coefficient)
-    for law, coefficient in (
-        (stretch, "law_stretch"),
-        (squared_stretch, "law_stretch_squared"),
-        (compression, "law_compression"),
-        (steep_compression, "law_compression_steep"),
-        (speed, "law_velocity"),
-        (squared_speed, "law_velocity_squared"),
-        (squared_rate, "law_rate_squared"),
-    )
+DEPARTURES = (
+    StressTerm(damaged, switch="damage", states=1, fastest=_healing_rate),
+    StressTerm(thinned_by_damage, switch="viscous_damage", states=1),
+    StressTerm(yielding, switch="yield_stress"),
+    StressTerm(graded, switch="graded_modulus"),
+    StressTerm(stretched, switch="permanent_set"),
+)
+"""The terms of the former laws."""
+
+CLOSURE = (
+    StressTerm(stretch, switch="law_stretch"),
+    StressTerm(squared_stretch, switch="law_stretch_squared"),
+    StressTerm(compression, switch="law_compression"),
+    StressTerm(steep_compression, switch="law_compression_steep"),
+    StressTerm(speed, switch="law_velocity"),
+    StressTerm(squared_speed, switch="law_velocity_squared"),
+    StressTerm(squared_rate, switch="law_rate_squared"),
 )
 """The generic laws, in the order above."""

@@ -5,9 +5,17 @@ An effect frees one or more entries of the parameter vector that a model leaves 
 ask the library which effects act in a batch and apply their laws; a diagnosis asks it which effects
 it may name. The laws are functions of scalars (:mod:`imr_torch.elementary`), so both engines use
 them; effects of the gel act through a stress term, effects of the camera through
-:mod:`imr_torch.observe.nuisance`. Those of the package are declared in
-:mod:`imr_torch.material.effects`, and the stages that hold their physics attach it by name
-(:func:`give_physics`). A user adds an effect by registering its parameter and one :class:`Effect`.
+:mod:`imr_torch.observe.nuisance`. A user adds an effect by registering its parameter and one
+:class:`Effect`.
+
+Those of the package are stated in ``data/effects.toml``: what each is called, where it acts, and how
+large it may be. The stages that hold their physics attach it by name (:func:`give_physics`). Effects
+of the gel are terms of its stress that a model may lack (:mod:`~imr_torch.material.elastic`,
+:mod:`~imr_torch.material.memory`, :mod:`~imr_torch.material.viscous`,
+:mod:`~imr_torch.material.departures`); a term acts wherever its parameter is not neutral. The physics
+of the bubble and of the liquid around it is in :mod:`imr_torch.simulate.effects` and
+:mod:`imr_torch.simulate.setting`; errors of the measurement act in
+:mod:`imr_torch.observe.nuisance`. At zero each does nothing, exactly.
 """
 
 import inspect
@@ -18,7 +26,8 @@ from typing import Literal
 
 from imr_torch.elementary import Law, obstacle_of
 from imr_torch.errors import InputDataError
-from imr_torch.material.marginals import Marginal, TruncatedNormal
+from imr_torch.files import read_table
+from imr_torch.material.marginals import Marginal, TruncatedNormal, make_marginal
 from imr_torch.material.models import material
 from imr_torch.material.parameters import PARAMETERS
 
@@ -217,3 +226,9 @@ def library(
     return tuple(
         LIBRARY[name] for name in chosen if name not in without and LIBRARY[name].applies(base)
     )
+
+
+for _name, _row in read_table("effects").items():
+    _priors = {name: make_marginal(*prior) for name, prior in _row.pop("priors").items()}
+    _starts = tuple(map(tuple, _row.pop("starts", ())))
+    register_effect(Effect(_name, priors=_priors, starts=_starts, **_row))

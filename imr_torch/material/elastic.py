@@ -212,12 +212,16 @@ def ogden_elastic(
 
 
 NEO_HOOKEAN = StressTerm(neo_hookean, switch="G", odd=())
-STIFFENING = StressTerm(stiffening, switch="alpha", unbounded=_has_no_bound, odd=())
-LINEAR_ELASTIC = StressTerm(linear_elastic, switch="G_lin", odd=())
-SECOND_ORDER_FUNG = StressTerm(second_order_fung, switch="alpha_fung2", odd=())
-EXPONENTIAL_FUNG = StressTerm(exponential_fung, switch="alpha_fung", odd=())
-MOONEY_RIVLIN = StressTerm(mooney_rivlin, switch="mooney", odd=())
-CUBIC_STIFFENING = StressTerm(cubic_stiffening, switch="cubic", odd=())
-GENT = StressTerm(gent_elastic, switch="gent", odd=())
-ARRUDA_BOYCE = StressTerm(arruda_boyce, switch="chain", odd=())
-OGDEN = StressTerm(ogden_elastic, switch="ogden", odd=())
+ELASTIC = (
+    NEO_HOOKEAN,
+    StressTerm(stiffening, switch="alpha", unbounded=_has_no_bound, odd=()),
+    StressTerm(linear_elastic, switch="G_lin", odd=()),
+    StressTerm(second_order_fung, switch="alpha_fung2", odd=()),
+    StressTerm(exponential_fung, switch="alpha_fung", odd=()),
+    StressTerm(mooney_rivlin, switch="mooney", odd=()),
+    StressTerm(cubic_stiffening, switch="cubic", odd=()),
+    StressTerm(gent_elastic, switch="gent", odd=()),
+    StressTerm(arruda_boyce, switch="chain", odd=()),
+    StressTerm(ogden_elastic, switch="ogden", odd=()),
+)
+"""The terms of these laws."""

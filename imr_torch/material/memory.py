@@ -59,23 +59,25 @@ def maxwell(
 
 
 def _relaxing_solid(
+    radius: Scalar,
+    velocity: Scalar,
     memory: Scalar,
-    strain: Scalar,
-    viscous: Scalar,
+    mu: Scalar,
+    time: Scalar,
     elastic: Scalar,
     slope: Scalar,
     stiffness: Scalar,
-    time: Scalar,
-    radius: Scalar,
 ) -> Scalars:
     """A solid whose whole stress relaxes to its elastic one: ``S' = (S_e - S)/De - 4 U/(Re De R) -
     f(l) U/R``.
 
     ``S_e`` is the elastic stress beside the dashpot's branch, ``slope`` its derivative in ``ln l``,
-    ``f`` its stiffness against fast strain, ``viscous`` is ``4/Re``. The state is ``S``; it starts
-    relaxed, at ``S_e``, because a bubble is slow near its maximum.
+    ``f`` its stiffness against fast strain. The state is ``S``; it starts relaxed, at ``S_e``, because
+    a bubble is slow near its maximum.
     """
     on = time > 0.0
+    viscous = 4.0 * mu
+    strain = velocity / radius
     change = where(
         on, _relaxation_rate(time) * (elastic - memory - viscous * strain) - stiffness * strain, 0.0
     )
@@ -119,24 +121,18 @@ def standard_linear(
     rest_radius: Scalar,
     memory: Scalar,
     mu: Scalar,
-    G_lin: Scalar,
     tau_sls: Scalar,
+    G_lin: Scalar,
 ) -> Scalars:
     """A linear spring beside a linear Maxwell branch (Estrada et al. 2018, eq. 12)."""
-    elastic, slope, stiffness = _linear_solid(rest_radius / radius, G_lin)
-    return _relaxing_solid(
-        memory, velocity / radius, 4.0 * mu, elastic, slope, stiffness, tau_sls, radius
-    )
+    spring = _linear_solid(rest_radius / radius, G_lin)
+    return _relaxing_solid(radius, velocity, memory, mu, tau_sls, *spring)
 
 
 def _standard_linear_start(
-    rest_radius: Scalar, mu: Scalar, G_lin: Scalar, tau_sls: Scalar
+    rest_radius: Scalar, mu: Scalar, tau_sls: Scalar, G_lin: Scalar
 ) -> Scalars:
     return (where(tau_sls > 0.0, _linear_solid(rest_radius, G_lin)[0], 0.0),)
-
-
-def _standard_fastest(mu: Scalar, modulus: Scalar, time: Scalar) -> Scalar:
-    return _relaxation_rate(time)
 
 
 def standard_nonlinear(
@@ -145,21 +141,18 @@ def standard_nonlinear(
     rest_radius: Scalar,
     memory: Scalar,
     mu: Scalar,
-    G: Scalar,
     tau_sns: Scalar,
+    G: Scalar,
 ) -> Scalars:
-    """A neo-Hookean spring beside a linear Maxwell branch (Estrada et al.
-
-    2018, eq. 13; "nhzen" in the published code).
+    """A neo-Hookean spring beside a linear Maxwell branch (Estrada et al. 2018, eq. 13; "nhzen" in the
+    published code).
     """
-    elastic, slope, stiffness = _nonlinear_solid(rest_radius / radius, G)
-    return _relaxing_solid(
-        memory, velocity / radius, 4.0 * mu, elastic, slope, stiffness, tau_sns, radius
-    )
+    spring = _nonlinear_solid(rest_radius / radius, G)
+    return _relaxing_solid(radius, velocity, memory, mu, tau_sns, *spring)
 
 
 def _standard_nonlinear_start(
-    rest_radius: Scalar, mu: Scalar, G: Scalar, tau_sns: Scalar
+    rest_radius: Scalar, mu: Scalar, tau_sns: Scalar, G: Scalar
 ) -> Scalars:
     return (where(tau_sns > 0.0, _nonlinear_solid(rest_radius, G)[0], 0.0),)
 
@@ -414,39 +407,42 @@ def _springpot_fastest(G_frac: Scalar, fractional: Scalar, reference_rate: Scala
     return where(G_frac > 0.0, e ** (4.0 * _SPACING), 0.0)
 
 
-MAXWELL = StressTerm(maxwell, switch="tau", states=1, fastest=_fastest_rate)
-STANDARD_LINEAR = StressTerm(
-    standard_linear,
-    switch="tau_sls",
-    states=1,
-    start=_standard_linear_start,
-    fastest=_standard_fastest,
+MEMORY = (
+    StressTerm(maxwell, switch="tau", states=1, fastest=_fastest_rate),
+    StressTerm(
+        standard_linear,
+        switch="tau_sls",
+        states=1,
+        start=_standard_linear_start,
+        fastest=_fastest_rate,
+    ),
+    StressTerm(
+        standard_nonlinear,
+        switch="tau_sns",
+        states=1,
+        start=_standard_nonlinear_start,
+        fastest=_fastest_rate,
+    ),
+    StressTerm(oldroyd_b, switch="tau_ucm", states=2, fastest=_fastest_rate),
+    StressTerm(first_arm, switch="G_arm", states=1, fastest=_fastest_rate),
+    StressTerm(second_arm, switch="G_arm_slow", states=1, fastest=_fastest_rate),
+    StressTerm(
+        springpot,
+        switch="G_frac",
+        states=7,
+        beside=("reference_rate",),
+        start=_springpot_start,
+        fastest=_springpot_fastest,
+    ),
+    StressTerm(
+        giesekus,
+        switch="tau_giesekus",
+        states=2 * len(_SHELLS),
+        fastest=_fastest_rate,
+        shells=_SHELLS,
+    ),
+    StressTerm(
+        ptt, switch="tau_ptt", states=2 * len(_SHELLS), fastest=_fastest_rate, shells=_SHELLS
+    ),
 )
-STANDARD_NONLINEAR = StressTerm(
-    standard_nonlinear,
-    switch="tau_sns",
-    states=1,
-    start=_standard_nonlinear_start,
-    fastest=_standard_fastest,
-)
-OLDROYD_B = StressTerm(oldroyd_b, switch="tau_ucm", states=2, fastest=_fastest_rate)
-GIESEKUS = StressTerm(
-    giesekus,
-    switch="tau_giesekus",
-    states=2 * len(_SHELLS),
-    fastest=_fastest_rate,
-    shells=_SHELLS,
-)
-PTT = StressTerm(
-    ptt, switch="tau_ptt", states=2 * len(_SHELLS), fastest=_fastest_rate, shells=_SHELLS
-)
-FIRST_ARM = StressTerm(first_arm, switch="G_arm", states=1, fastest=_fastest_rate)
-SECOND_ARM = StressTerm(second_arm, switch="G_arm_slow", states=1, fastest=_fastest_rate)
-SPRINGPOT = StressTerm(
-    springpot,
-    switch="G_frac",
-    states=7,
-    beside=("reference_rate",),
-    start=_springpot_start,
-    fastest=_springpot_fastest,
-)
+"""The terms of these laws."""

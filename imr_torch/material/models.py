@@ -14,80 +14,20 @@ from typing import Literal
 
 from imr_torch.errors import InputDataError
 from imr_torch.files import read_table
-from imr_torch.material.departures import (
-    CLOSURE,
-    DAMAGE,
-    GRADED_MODULUS,
-    PERMANENT_SET,
-    VISCOUS_DAMAGE,
-    YIELD_STRESS,
-)
-from imr_torch.material.elastic import (
-    ARRUDA_BOYCE,
-    CUBIC_STIFFENING,
-    EXPONENTIAL_FUNG,
-    GENT,
-    LINEAR_ELASTIC,
-    MOONEY_RIVLIN,
-    NEO_HOOKEAN,
-    OGDEN,
-    SECOND_ORDER_FUNG,
-    STIFFENING,
-)
-from imr_torch.material.memory import (
-    FIRST_ARM,
-    GIESEKUS,
-    MAXWELL,
-    OLDROYD_B,
-    PTT,
-    SECOND_ARM,
-    SPRINGPOT,
-    STANDARD_LINEAR,
-    STANDARD_NONLINEAR,
-)
+from imr_torch.material.departures import CLOSURE, DEPARTURES
+from imr_torch.material.elastic import ELASTIC
+from imr_torch.material.memory import MEMORY
 from imr_torch.material.parameters import PARAMETERS
 from imr_torch.material.stress import StressTerm
-from imr_torch.material.viscous import (
-    CARREAU,
-    CARREAU_YASUDA,
-    CROSS,
-    NEWTONIAN,
-    POWELL_EYRING,
-    POWER_LAW,
-)
+from imr_torch.material.viscous import NEWTONIAN, SHEAR_DEPENDENT
 
 TERMS: list[StressTerm] = [
     NEWTONIAN,
-    NEO_HOOKEAN,
-    STIFFENING,
-    LINEAR_ELASTIC,
-    SECOND_ORDER_FUNG,
-    EXPONENTIAL_FUNG,
-    CARREAU,
-    MAXWELL,
-    STANDARD_LINEAR,
-    STANDARD_NONLINEAR,
-    OLDROYD_B,
-    DAMAGE,
-    VISCOUS_DAMAGE,
-    YIELD_STRESS,
-    GRADED_MODULUS,
-    PERMANENT_SET,
+    *ELASTIC,
+    *SHEAR_DEPENDENT,
+    *MEMORY,
+    *DEPARTURES,
     *CLOSURE,
-    MOONEY_RIVLIN,
-    CUBIC_STIFFENING,
-    GENT,
-    ARRUDA_BOYCE,
-    OGDEN,
-    CARREAU_YASUDA,
-    CROSS,
-    POWELL_EYRING,
-    POWER_LAW,
-    FIRST_ARM,
-    SECOND_ARM,
-    SPRINGPOT,
-    GIESEKUS,
-    PTT,
 ]
 """Every term a batch may need. Simulators leave out those that are neutral in the whole batch."""
 

@@ -104,17 +104,12 @@ class Parameter:
 
 
 class ParameterVector:
-    """The ordered register of parameters, and the layout of every parameter tensor.
-
-    Attributes:
-        size: number of parameters, the last dimension of every parameter tensor.
+    """The ordered register of parameters, and the layout of every parameter tensor, whose last
+    dimension is as long as this.
     """
-
-    size: int = 0
 
     def __init__(self) -> None:
         self._entries: dict[str, Parameter] = {}
-        self._columns: dict[str, int] = {}
 
     def register(self, parameter: Parameter) -> Parameter:
         """Append an entry; a second one of the same name must be identical."""
@@ -125,8 +120,6 @@ class ParameterVector:
                 f"{known}."
             )
         self._entries[parameter.name] = parameter
-        self._columns = {name: column for column, name in enumerate(self._entries)}
-        self.size = len(self._entries)
         return parameter
 
     def __repr__(self) -> str:
@@ -156,10 +149,8 @@ class ParameterVector:
 
     def index(self, names: Sequence[str]) -> list[int]:
         """Columns of ``names`` in a parameter tensor."""
-        for name in names:
-            if name not in self._columns:
-                self[name]  # names the parameters that are known
-        return [self._columns[name] for name in names]
+        order = self.names
+        return [order.index(self[name].name) for name in names]
 
     def neutral(self, *batch_shape: int, dtype: torch.dtype = torch.float64) -> BatchParameters:
         """A ``batch_shape x p`` tensor of neutral values: a bubble in an inviscid liquid without
@@ -237,23 +228,19 @@ _QUOTED: dict[Dimension, tuple[str, float, str]] = {
 
 def _make_entry(name: str, row: Document) -> Parameter:
     """An entry by its row of the table, with the units of its dimension."""
-    dimension: Dimension = row.get("dimension", "none")
-    unit, scale, quoted = _QUOTED[dimension]
-    lower, upper = row["bounds"]
-    neutral = row.get("neutral", 0.0)
-    prior = make_marginal(*row["prior"]) if "prior" in row else None
+    row = {"dimension": "none", "neutral": 0.0, **row}
+    unit, scale, quoted = _QUOTED[row["dimension"]]
+    lower, upper = row.pop("bounds")
+    prior = make_marginal(*row.pop("prior")) if "prior" in row else None
     return Parameter(
         name,
-        row["meaning"],
-        unit,
-        dimension,
-        lower,
-        upper,
-        neutral,
-        scale,
-        quoted,
-        prior,
-        row.get("symbol", ""),
+        unit=unit,
+        lower=lower,
+        upper=upper,
+        display_scale=scale,
+        display_unit=quoted,
+        prior=prior,
+        **row,
     )
 
 

@@ -18,6 +18,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -63,8 +64,7 @@ def shell_rule(count: int, spread: float = 1e5) -> tuple[tuple[float, float], ..
     return tuple(rule)
 
 
-@dataclass(frozen=True)
-class Stress:
+class Stress(NamedTuple):
     """A stress integral and its time derivative ``dS/dt = rate + acceleration * dU/dt``.
 
     Args:
@@ -75,19 +75,13 @@ class Stress:
     >>> import torch
     >>> from imr_torch.material import Stress
     >>> spring = Stress(torch.tensor(-0.1), torch.tensor(0.2), torch.tensor(0.0))
-    >>> damper = Stress(torch.tensor(0.3), torch.tensor(0.0), torch.tensor(-0.4))
-    >>> round(float((spring + damper).value), 3)
-    0.2
+    >>> round(float(spring.value), 3)
+    -0.1
     """
 
     value: Inexact[Tensor, "*batch"]
     rate: Inexact[Tensor, "*batch"]
     acceleration: Inexact[Tensor, "*batch"]
-
-    def __add__(self, other: "Stress") -> "Stress":
-        return Stress(
-            self.value + other.value, self.rate + other.rate, self.acceleration + other.acceleration
-        )
 
 
 @dataclass(frozen=True)
@@ -224,23 +218,23 @@ def gel_response(
     :class:`imr_torch.material.stress.StressTerm`.
 
     >>> import torch
-    >>> from imr_torch.material import TERMS, gel_response
+    >>> from imr_torch.material import MATERIALS, gel_response
     >>> one, still, rest, G, mu = torch.tensor([[1.0], [0.0], [0.2], [0.05], [0.1]], dtype=torch.float64)
-    >>> stress, memory_rates = gel_response(TERMS[:2], one, still, rest, {"G": G, "mu": mu})
+    >>> stress, memory_rates = gel_response(MATERIALS["nhkv"].terms, one, still, rest, {"G": G, "mu": mu})
     >>> round(float(stress.value), 4), tuple(memory_rates.shape)  # no term remembers
     (-0.105, (0, 1))
     """
     zero = torch.zeros_like(radius)
-    total = Stress(zero, zero, zero)
+    total = [zero, zero, zero]
     rates = []
     start = 0
     for term in terms:
         states = None if memory is None else memory[start : start + term.states]
         start += term.states
         parts = term.evaluate_law(radius, velocity, rest_radius, theta, states)
-        total = total + Stress(*parts[:3])
+        total = [whole + part for whole, part in zip(total, parts[:3], strict=True)]
         rates += parts[3:]
-    return total, torch.stack(rates) if rates else zero.new_zeros(0, *zero.shape)
+    return Stress(*total), torch.stack(rates) if rates else zero.new_zeros(0, *zero.shape)
 
 
 def derivatives(

@@ -171,10 +171,11 @@ def power_law(
 
 
 NEWTONIAN = StressTerm(newtonian, switch="mu", odd=("mu",))
-CARREAU = StressTerm(carreau, switch="thinning", odd=("mu",))
-CARREAU_YASUDA = StressTerm(
-    carreau_yasuda, switch="thinning_yasuda", beside=("plateau",), odd=("mu",)
+SHEAR_DEPENDENT = (
+    StressTerm(carreau, switch="thinning", odd=("mu",)),
+    StressTerm(carreau_yasuda, switch="thinning_yasuda", beside=("plateau",), odd=("mu",)),
+    StressTerm(cross, switch="cross_time", beside=("plateau",), odd=("mu",)),
+    StressTerm(powell_eyring, switch="eyring_time", beside=("plateau",), odd=("mu",)),
+    StressTerm(power_law, switch="power_thinning", beside=("reference_rate",), odd=("mu",)),
 )
-CROSS = StressTerm(cross, switch="cross_time", beside=("plateau",), odd=("mu",))
-POWELL_EYRING = StressTerm(powell_eyring, switch="eyring_time", beside=("plateau",), odd=("mu",))
-POWER_LAW = StressTerm(power_law, switch="power_thinning", beside=("reference_rate",), odd=("mu",))
+"""The terms of the laws whose viscosity depends on the shear rate."""

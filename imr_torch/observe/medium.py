@@ -3,7 +3,7 @@ and assumed ones.
 
 What the command (or the caller) states counts before what the file says, a value before a name, and
 what nobody states is assumed. A value with a standard deviation is a parameter of the fit, the same
-for all shots, with that prior (:mod:`imr_torch.simulate.medium`). Where curves are fitted, a density
+for all shots, with that prior (:mod:`imr_torch.simulate.setting`). Where curves are fitted, a density
 that nobody states has such a prior too (:data:`UNSTATED_SDS`).
 
 A stated temperature changes the vapour pressure and the conduction of heat in the bubble, and the
@@ -23,7 +23,7 @@ from imr_torch.material.model_belief import add_parameters
 from imr_torch.reading.statement import PROPERTIES, Statement
 from imr_torch.simulate import Simulator
 from imr_torch.simulate.conditions import saturation_pressure
-from imr_torch.simulate.medium import OF_MEDIUM
+from imr_torch.simulate.setting import OF_MEDIUM
 from imr_torch.units import Surroundings
 
 UNSTATED_SDS: Mapping[str, float] = {"density": 30.0}

@@ -21,7 +21,6 @@ from imr_torch.simulate.liquids import (
     Tait,
 )
 from imr_torch.simulate.ode_method import TransportField
-from imr_torch.simulate.parallel import process_pool
 from imr_torch.simulate.polytropic import PolytropicSimulator, fewer_steps
 from imr_torch.simulate.radial import (
     RADIAL_EQUATIONS,
@@ -47,6 +46,7 @@ from imr_torch.simulate.simulator import (
     solve_bundles,
 )
 from imr_torch.simulate.transport import ACCURACIES, Accuracy, TransportSimulator, coarser
+from imr_torch.threads import process_pool
 
 __all__ = [
     "ACCURACIES",

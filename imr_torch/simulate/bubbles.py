@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 import imr_torch.simulate.effects  # noqa: F401 - attaches their physics
-from imr_torch.elementary import Scalar
+from imr_torch.elementary import Law, Scalar
 from imr_torch.material import (
     LIBRARY,
     PARAMETERS,
@@ -27,8 +27,7 @@ from imr_torch.material import (
     dimensionless,
 )
 from imr_torch.simulate.conditions import SATURATION_PREFACTOR, SATURATION_TEMPERATURE, Conditions
-from imr_torch.simulate.medium import MEDIUM
-from imr_torch.simulate.setting import Setting
+from imr_torch.simulate.setting import MEDIUM, Setting
 from imr_torch.types import BubbleValues
 from imr_torch.units import Number
 
@@ -316,10 +315,12 @@ class Bubbles:
                 fastest = fastest.maximum(torch.where(self.theta[term.switch] == 0.0, 0.0, rate))
         return fastest
 
-    def arguments(self, effect: Effect) -> list[BubbleValues]:
-        """The parameters of an effect, each a ``B`` tensor."""
-        return [self.theta[name] for name in effect.names]
-
-    def acting(self, law: str) -> list[Effect]:
-        """The effects that have a law of this name (see :class:`imr_torch.material.Effect`)."""
-        return [effect for effect in self.effects if getattr(effect, law) is not None]
+    def acting(self, kind: str) -> list[tuple[Law, list[BubbleValues]]]:
+        """The laws of this kind that effects have (see :class:`imr_torch.material.Effect`), each with
+        the parameters that it takes last.
+        """
+        return [
+            (law, [self.theta[name] for name in effect.names])
+            for effect in self.effects
+            if (law := getattr(effect, kind)) is not None
+        ]

@@ -138,7 +138,8 @@ def bracket_times(
     Returns:
         Number of the node at its end, its length, and the share of it that has passed.
     """
-    end = torch.searchsorted(nodes.detach(), times.contiguous()).clamp(1, nodes.shape[1] - 1)
+    first = (nodes <= nodes[:, :1]).sum(1, keepdim=True)  # the first node after the start
+    end = torch.searchsorted(nodes, times.contiguous()).maximum(first).clamp(1, nodes.shape[1] - 1)
     before = nodes.gather(1, end - 1)
     step = (nodes.gather(1, end) - before).clamp_min(torch.finfo(times.dtype).tiny)
     return end, step, (times - before) / step
@@ -149,24 +150,3 @@ def ends_of(
 ) -> tuple[BubbleFrames, BubbleFrames]:
     """Values at the nodes before and after each time; ``end`` as :func:`bracket_times` gives it."""
     return values.gather(1, end - 1), values.gather(1, end)
-
-
-def interpolate_radius(
-    nodes: Float[Tensor, "members steps"],
-    radius: Float[Tensor, "members steps"],
-    velocity: Float[Tensor, "members steps"],
-    acceleration: Float[Tensor, "members steps"],
-    times: BubbleFrames,
-) -> tuple[BubbleFrames, BubbleFrames]:
-    """Radius and velocity at given times, each ``B x n_t``; the error is of sixth order in the step.
-
-    Args:
-        nodes: time of each step, non-decreasing.
-        radius: ``B x n`` tensor at the nodes.
-        velocity: ``B x n`` tensor.
-        acceleration: ``B x n`` tensor.
-        times: see :func:`bracket_times`.
-    """
-    end, step, share = bracket_times(nodes, times)
-    knots = (ends_of(values, end) for values in (radius, velocity, acceleration))
-    return hermite_quintic(share, step, *knots)

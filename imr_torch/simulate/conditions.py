@@ -7,10 +7,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar, Literal
 
-from imr_torch.elementary import Law
+from imr_torch.elementary import Law, Scalar, power
 from imr_torch.errors import InputDataError
 from imr_torch.simulate.driving import TabulatedDriving
-from imr_torch.simulate.gas import polytropic_pressure
 from imr_torch.simulate.radial import KellerMiksis, RadialEquation
 from imr_torch.units import Surroundings
 
@@ -23,6 +22,43 @@ def saturation_pressure(temperature: float) -> float:
     al. 2018, eq. 18).
     """
     return SATURATION_PREFACTOR * math.exp(-SATURATION_TEMPERATURE / temperature)
+
+
+def compression_of(radius: Scalar, exponent: Scalar) -> Scalar:
+    """``P/P(0)`` of polytropic gas."""
+    return power(radius, -3.0 * exponent)
+
+
+def polytropic_pressure(
+    radius: Scalar,
+    velocity: Scalar,
+    left: Scalar,
+    lost: Scalar,
+    compression: Scalar,
+    factor: Scalar,
+    trapped: Scalar,
+    gas: Scalar,
+    exponent: Scalar,
+    vapour: Scalar,
+) -> tuple[Scalar, Scalar]:
+    """Pressure of polytropic gas with vapour at constant pressure beside it, and its rate.
+
+    Args:
+        radius: ``R``.
+        velocity: ``U``.
+        left: share of the gas that is left.
+        lost: relative rate at which it is lost.
+        compression: see :func:`compression_of`.
+        factor: of the vapour pressure, by effects; 1 without.
+        trapped: its logarithmic derivative in the compression.
+        gas: pressure of the gas at ``R = 1``.
+        exponent: polytropic exponent.
+        vapour: pressure of the vapour without effects.
+    """
+    inside = gas * compression * left
+    beside = vapour * factor
+    stiffness = 3.0 * exponent * velocity / radius
+    return inside + beside, -stiffness * (inside + trapped * beside) - inside * lost
 
 
 @dataclass(frozen=True)
@@ -39,7 +75,7 @@ class PolytropicGas:
         vapour: whether the bubble holds vapour at its saturation pressure.
 
     A subclass may put another law of the same arguments in place of
-    :func:`imr_torch.simulate.gas.polytropic_pressure`.
+    :func:`polytropic_pressure`.
 
     >>> from imr_torch.simulate import Conditions, PolytropicGas, PolytropicSimulator
     >>> simulator = PolytropicSimulator(Conditions(gas=PolytropicGas(exponent=1.0, vapour=False)))

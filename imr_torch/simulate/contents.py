@@ -201,8 +201,8 @@ def wall_balance(at: Point, b: Numbers, c: Constants) -> Scalar:
 
 
 class Balance(NamedTuple):
-    """Derivatives of ``q`` or of the wall's balance: in (R, U, P, q, tau_w), and in the slopes at
-    the wall.
+    """Derivatives of ``q`` or of the wall's balance: in (R, U, P, q, tau_w), of which that in ``q`` is
+    0, and in the slopes at the wall.
     """
 
     radius: Scalar

@@ -3,7 +3,7 @@ effect library.
 
 What a calibration of the experiment does not give (the sound speed, heat loss, a wall nearby) is a
 parameter of each member of a batch, so that it can be inferred like a property of the gel. At zero
-each does nothing, exactly. Parameters and priors are in :mod:`imr_torch.material.effects`.
+each does nothing, exactly. Parameters and priors are in ``data/effects.toml``.
 """
 
 import torch
@@ -29,23 +29,14 @@ def heat_exchange(setting: Setting, factor: Scalar) -> Setting:
     return setting._replace(conduction=setting.conduction * torch.exp(factor), exponent=exponent)
 
 
-give_physics("heat_exchange", setting=heat_exchange)
-
-
 def vapour_pressure(setting: Setting, excess: Scalar) -> Setting:
     """Vapour pressure off its saturation value."""
     return setting._replace(saturation=setting.saturation + excess)
 
 
-give_physics("vapour_pressure", setting=vapour_pressure)
-
-
 def condensation(compression: Scalar, trapped: Scalar) -> Scalar:
     """Vapour that cannot condense in time is compressed with the rest."""
     return power(compression, trapped)
-
-
-give_physics("condensation", vapour=condensation)
 
 
 def gas_loss(radius: Scalar, velocity: Scalar, rest_radius: Scalar, share: Scalar) -> Scalar:
@@ -55,8 +46,6 @@ def gas_loss(radius: Scalar, velocity: Scalar, rest_radius: Scalar, share: Scala
     speed = sqrt(velocity * velocity + SMOOTH * SMOOTH) - SMOOTH
     return share * speed / radius * depth * depth
 
-
-give_physics("gas_loss", gas_loss=gas_loss)
 
 # A simulation starts at the maximum radius with the gas that rests at ``R_inf``, at the temperature
 # of the gel, and keeps it. Each of these effects drops one of these assumptions.
@@ -73,9 +62,6 @@ def excess_gas(setting: Setting, excess: Scalar) -> Setting:
     return setting._replace(gas=setting.gas * torch.exp(excess))
 
 
-give_physics("excess_gas", setting=excess_gas)
-
-
 def hot_contents(setting: Setting, excess: Scalar) -> Setting:
     """Contents are hotter (or colder) than the gel at the maximum radius.
 
@@ -85,9 +71,6 @@ def hot_contents(setting: Setting, excess: Scalar) -> Setting:
     2018, section 2.3); laser plasma leaves heat behind (Liang et al. 2022).
     """
     return setting._replace(warmth=setting.warmth + excess)
-
-
-give_physics("hot_contents", setting=hot_contents)
 
 
 def rinf_drift(radius: Scalar, velocity: Scalar, rest_radius: Scalar, drift: Scalar) -> Scalar:
@@ -101,17 +84,12 @@ def rinf_drift(radius: Scalar, velocity: Scalar, rest_radius: Scalar, drift: Sca
     return -3.0 * drift + 0.0 * radius
 
 
-give_physics("rinf_drift", gas_loss=rinf_drift)
-
 # --- the liquid ---
 
 
 def sound_speed(setting: Setting, factor: Scalar) -> Setting:
     """The speed of sound differs."""
     return setting._replace(slowness=setting.slowness * torch.exp(-factor))
-
-
-give_physics("sound_speed", setting=sound_speed)
 
 
 def compressibility(setting: Setting, share: Scalar) -> Setting:
@@ -121,7 +99,9 @@ def compressibility(setting: Setting, share: Scalar) -> Setting:
     return setting._replace(beyond=setting.beyond + share)
 
 
-give_physics("compressibility", setting=compressibility)
+def density(setting: Setting, factor: Scalar) -> Setting:
+    """A denser medium moves more slowly under the same pressures."""
+    return setting._replace(pace=setting.pace * torch.exp(-0.5 * factor))
 
 
 def surface_tension(setting: Setting, factor: Scalar) -> Setting:
@@ -129,23 +109,14 @@ def surface_tension(setting: Setting, factor: Scalar) -> Setting:
     return setting._replace(tension=setting.tension * torch.exp(factor))
 
 
-give_physics("surface_tension", setting=surface_tension)
-
-
 def far_field_pressure(setting: Setting, excess: Scalar) -> Setting:
     """Far-field pressure is not ``p_inf``."""
     return setting._replace(far=setting.far + excess)
 
 
-give_physics("far_field_pressure", setting=far_field_pressure)
-
-
 def wall(setting: Setting, strength: Scalar) -> Setting:
     """A wall or another bubble is near."""
     return setting._replace(image=setting.image + strength)
-
-
-give_physics("wall", setting=wall)
 
 
 def shape_modes(
@@ -195,9 +166,6 @@ def residual_velocity(setting: Setting, velocity: Scalar) -> Setting:
     return setting._replace(velocity=setting.velocity + velocity)
 
 
-give_physics("residual_velocity", setting=residual_velocity)
-
-
 def sound_field(
     time: Scalar, amplitude: Scalar, log_frequency: Scalar, phase: Scalar
 ) -> tuple[Scalar, Scalar, Scalar]:
@@ -206,9 +174,6 @@ def sound_field(
     angle = frequency * time + phase
     swing = amplitude * sin(angle)
     return swing, amplitude * frequency * cos(angle), -frequency * frequency * swing
-
-
-give_physics("sound_field", far_field=sound_field)
 
 
 def pulse(
@@ -221,4 +186,32 @@ def pulse(
     return value, -2.0 * x / width * value, (4.0 * x * x - 2.0) / (width * width) * value
 
 
-give_physics("pulse", far_field=pulse)
+LAWS = {
+    "setting": (
+        heat_exchange,
+        vapour_pressure,
+        excess_gas,
+        hot_contents,
+        sound_speed,
+        compressibility,
+        density,
+        surface_tension,
+        far_field_pressure,
+        wall,
+        residual_velocity,
+    ),
+    "vapour": (condensation,),
+    "gas_loss": (
+        gas_loss,
+        rinf_drift,
+    ),
+    "far_field": (
+        sound_field,
+        pulse,
+    ),
+}
+"""Kind of law -> the laws, each of the effect of its name."""
+
+for _kind, _laws in LAWS.items():
+    for _law in _laws:
+        give_physics(_law.__name__, **{_kind: _law})

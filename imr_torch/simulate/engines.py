@@ -15,6 +15,7 @@ from typing import ClassVar, Literal
 import torch
 from torch import Tensor
 
+from imr_torch.elementary import obstacle_of
 from imr_torch.errors import EngineWarning, InputDataError
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.conditions import Conditions
@@ -116,14 +117,19 @@ def can_compile(engine: Engine, bubbles: Bubbles) -> bool:
 
 
 def _find_obstacle(bubbles: Bubbles) -> str | None:
+    """What keeps a batch from the compiled engine, in words; laws that do not act are no obstacle."""
     parameters = bubbles.parameters
     if parameters.device.type != "cpu":
         return f"the compiled engine does not run on {parameters.device}"
-    if str(parameters.dtype) != "torch.float64":
+    if parameters.dtype != torch.float64:
         return f"the compiled engine computes in float64, not in {parameters.dtype}"
-    from imr_torch.simulate.compiled.run import find_obstacle
-
-    return find_obstacle(bubbles)
+    motion = bubbles.conditions.motion
+    laws = [type(part).law for part in (motion, motion.liquid, bubbles.conditions.gas)]
+    missing = [
+        *(law.__qualname__ for law in laws if obstacle_of(law) is not None),
+        *(part.name for part in (*bubbles.terms, *bubbles.effects) if not part.compilable),
+    ]
+    return f"{missing[0]} has no compiled form" if missing else None
 
 
 @functools.cache

@@ -10,7 +10,7 @@ backwards: its memory at the maximum is what growth has made of it.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property
 from typing import Any
 
 import torch
@@ -19,7 +19,7 @@ from torch import Tensor
 from imr_torch.errors import UnsupportedError
 from imr_torch.material import PARAMETERS, TERMS
 from imr_torch.simulate.conditions import Conditions
-from imr_torch.simulate.medium import OF_MEDIUM
+from imr_torch.simulate.setting import OF_MEDIUM
 from imr_torch.simulate.simulator import Simulator, Solution
 from imr_torch.types import DesignVectors, FrameTimes, ParameterVectors
 
@@ -48,11 +48,6 @@ def check_reversible(model: str, names: Sequence[str], simulator: Simulator) -> 
         )
 
 
-@lru_cache(maxsize=16)
-def _run_backwards(simulator: Any) -> Simulator:
-    return replace(simulator, conditions=replace(simulator.conditions, backwards=True))
-
-
 @dataclass(frozen=True)
 class WithGrowth:
     """A simulator whose bubbles also have times before the maximum radius.
@@ -77,19 +72,24 @@ class WithGrowth:
         """Those of the simulator."""
         return self.simulator.conditions
 
+    @cached_property
+    def _reverse(self) -> Simulator:
+        """The simulator with time running backwards."""
+        simulator: Any = self.simulator
+        return replace(simulator, conditions=replace(simulator.conditions, backwards=True))
+
     def __call__(
         self, parameters: ParameterVectors, designs: DesignVectors, times: FrameTimes
     ) -> Solution:
         """Simulate a batch; see :class:`imr_torch.simulate.Simulator`."""
-        reverse = _run_backwards(self.simulator)
-        return _join_halves(self.simulator, reverse, parameters, designs, times)
+        return _join_halves(self.simulator, self._reverse, parameters, designs, times)
 
     def bundle(
         self, parameters: ParameterVectors, designs: DesignVectors, times: FrameTimes
     ) -> Solution:
         """Simulate bundles."""
-        reverse = _run_backwards(self.simulator)
-        return _join_halves(self.simulator.bundle, reverse.bundle, parameters, designs, times)
+        halves = (self.simulator.bundle, self._reverse.bundle)
+        return _join_halves(*halves, parameters, designs, times)
 
 
 def _join_halves(

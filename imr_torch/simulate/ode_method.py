@@ -22,9 +22,14 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from imr_torch.simulate.controller import FIRST_STEP, REST, scaled_error, step_factor
 from imr_torch.simulate.rhs import Equations
-from imr_torch.simulate.rosenbrock import rosenbrock_step
+from imr_torch.simulate.rosenbrock import (
+    FIRST_STEP,
+    REST,
+    rosenbrock_step,
+    scaled_error,
+    step_factor,
+)
 
 CONTROL = 3
 """Rows after those of :mod:`imr_torch.simulate.rhs`: time, next step, and how the last step ended."""
@@ -81,7 +86,7 @@ class TransportField:
         """The state after one more step of every member."""
         x, (time, step, before) = state[:-CONTROL], state[-CONTROL:]
         lead = slice(None, None, self.width)
-        length = step if self.width == 1 else self._step_lengths(x, step)
+        length = self._step_lengths(x, step)
         after, change = rosenbrock_step(self.equations, x, length, time)
         error = scaled_error(
             x[:, lead], after[:, lead], change[:, lead], self.equations, self.tolerance
@@ -91,15 +96,12 @@ class TransportField:
             before[lead] == ACCEPTED, factor, factor.clamp_max(1.0)
         )  # no growth after a failure
         ended = torch.where(error <= 1.0, ACCEPTED, REJECTED)
-        ended = self._repeat_in_bundles(torch.where(torch.isfinite(error), ended, NOT_FINITE))
+        ended = torch.where(torch.isfinite(error), ended, NOT_FINITE)
+        factor, ended = (of.repeat_interleave(self.width) for of in (factor, ended))
         accepted = ended == ACCEPTED
         time = torch.where(accepted, time + length, time)
-        control = torch.stack((time, step * self._repeat_in_bundles(factor), ended.to(time)))
+        control = torch.stack((time, step * factor, ended.to(time)))
         return torch.cat((torch.where(accepted, after, x), control))
-
-    def _repeat_in_bundles(self, values: Tensor) -> Tensor:
-        """What holds for leaders, for each of their bundle."""
-        return values.repeat_interleave(self.width) if self.width > 1 else values
 
     def _step_lengths(self, x: Tensor, step: Tensor) -> Tensor:
         """The leaders' steps, for each member in proportion to its time scale (as in
@@ -107,4 +109,4 @@ class TransportField:
         """
         radius, velocity, log_pressure = x[:3]
         pace = radius * torch.rsqrt(REST + torch.exp(log_pressure) + velocity * velocity)
-        return step * (pace / self._repeat_in_bundles(pace[:: self.width]))
+        return step * (pace / pace[:: self.width].repeat_interleave(self.width))

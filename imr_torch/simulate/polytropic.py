@@ -18,13 +18,12 @@ from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.clock import (
     bracket_times,
     ends_of,
-    interpolate_radius,
+    hermite_quintic,
     memory_share,
     time_per_tick,
 )
-from imr_torch.simulate.conditions import Conditions, Stepping
+from imr_torch.simulate.conditions import Conditions, Stepping, compression_of
 from imr_torch.simulate.engines import Engine, EngineSimulator, can_compile
-from imr_torch.simulate.gas import compression_of
 from imr_torch.simulate.simulator import RUNAWAY, Simulator, Status
 from imr_torch.simulate.wall import Head, gas_loss, move_wall, name_sonic, vapour_factor
 
@@ -75,10 +74,9 @@ class PolytropicSimulator(EngineSimulator):
             return solve_polytropic(bubbles, times, width, stepping, self.threads)
         results = _integrate_batch(bubbles, times, stepping, width)
         for _ in range(stepping.retries):
-            status = _leader_status(results[3], width)
-            failed = torch.nonzero((status != Status.DONE) & (status != Status.TOO_MANY_STEPS))[
-                :, 0
-            ]
+            status = results[3]
+            failed = (status != Status.DONE) & (status != Status.TOO_MANY_STEPS)
+            failed = torch.nonzero(failed)[:, 0]
             if not len(failed):
                 break
             stepping = replace(stepping, step=0.5 * stepping.step)
@@ -86,7 +84,7 @@ class PolytropicSimulator(EngineSimulator):
             results = [
                 old.index_copy(0, failed, new) for old, new in zip(results, again, strict=True)
             ]
-        return *results[:3], _leader_status(results[3], width), results[4]
+        return tuple(results)
 
 
 def fewer_steps(simulator: Simulator, most: int = 600) -> Simulator:
@@ -106,18 +104,13 @@ def fewer_steps(simulator: Simulator, most: int = 600) -> Simulator:
     return replace(simulator, stepping=replace(stepping, max_steps=min(stepping.max_steps, most)))
 
 
-def _leader_status(status: Tensor, width: int) -> Tensor:
-    """The status of each member's leader."""
-    return status[::width].repeat_interleave(width)
-
-
 def _integrate_batch(
     bubbles: Bubbles, times: Tensor, stepping: Stepping, width: int = 1, block: int = 32
 ) -> Sequence[Tensor]:
     """Integrate until every member is past its last time; which are is looked at after each block of
     steps.
 
-    Radius, velocity, pressure, status, steps.
+    Radius, velocity, pressure, status (of the leaders), steps.
     """
     count = times.shape[0]
     last = times[:, -1]
@@ -141,17 +134,15 @@ def _integrate_batch(
         fastest[active] = path[:, 1].nan_to_num(-torch.inf).amax(0)
         active = torch.nonzero((status == Status.TOO_MANY_STEPS) & (steps < limits))[:, 0]
     curves = _read_curves(bubbles, torch.cat(history), times, status)
-    return *curves, name_sonic(bubbles, status, fastest), steps
+    of_leaders = name_sonic(bubbles, status, fastest)[::width].repeat_interleave(width)
+    return *curves, of_leaders, steps
 
 
 def start_of(bubbles: Bubbles) -> Float[Tensor, "rows *#members"]:
-    """The state (R, U, t, memory, and gas left where an effect takes some) at time zero, ``(3 + K)
-    x B`` or a row more.
-    """
+    """The state (R, U, t, gas left, memory) at time zero, ``(4 + K) x B``."""
     velocity = bubbles.numbers.velocity
     one = torch.ones_like(velocity)
-    rows = [torch.stack((one, velocity, 0.0 * one)), bubbles.memory_start()]
-    return torch.cat((*rows, one[None]) if bubbles.acting("gas_loss") else rows)
+    return torch.cat((torch.stack((one, velocity, 0.0 * one, one)), bubbles.memory_start()))
 
 
 def head_of(bubbles: Bubbles, state: Float[Tensor, "rows *#members"]) -> Head:
@@ -159,16 +150,14 @@ def head_of(bubbles: Bubbles, state: Float[Tensor, "rows *#members"]) -> Head:
     with ``B``.
     """
     numbers = bubbles.numbers
-    radius = state[0]
-    velocity = state[1]
-    left = state[3 + bubbles.states] if bubbles.acting("gas_loss") else torch.ones_like(radius)
+    radius, velocity, time, left = state[:4]
     compression = compression_of(radius, numbers.exponent)
     factor, trapped = vapour_factor(bubbles, compression)
     lost = gas_loss(bubbles, radius, velocity)
     law = type(bubbles.conditions.gas).law
     contents = (numbers.gas, numbers.exponent, numbers.vapour)
     pressure, rate = law(radius, velocity, left, lost, compression, factor, trapped, *contents)
-    return Head(state[2], radius, velocity, pressure, rate, state[3 : 3 + bubbles.states])
+    return Head(time, radius, velocity, pressure, rate, state[4:])
 
 
 def rate_of(
@@ -176,10 +165,9 @@ def rate_of(
 ) -> Float[Tensor, "rows *#members"]:
     """Time derivative of a state as in :func:`start_of`."""
     force, memory_rate = move_wall(bubbles, head)
-    rows = [torch.stack((head.velocity, force, torch.ones_like(force))), memory_rate]
-    if bubbles.acting("gas_loss"):
-        rows.append(-state[-1:] * gas_loss(bubbles, head.radius, head.velocity))
-    return torch.cat(rows)
+    leaving = -state[3] * gas_loss(bubbles, head.radius, head.velocity)
+    rows = torch.stack((head.velocity, force, torch.ones_like(force), leaving))
+    return torch.cat((rows, memory_rate))
 
 
 def _field_of(bubbles: Bubbles, step: float):
@@ -197,7 +185,7 @@ def _field_of(bubbles: Bubbles, step: float):
 
 
 def _judge_members(path: Tensor, last: Tensor) -> Tensor:
-    """Status of each member after a block of steps; ``path`` is ``n x (3 + K) x B``."""
+    """Status of each member after a block of steps; ``path`` is ``n x (4 + K) x B``."""
     radius = path[:, 0]
     end = path[-1, 2]
     finite = torch.isfinite(path).all(0).all(0) & (radius > 0.0).all(0)
@@ -208,29 +196,22 @@ def _judge_members(path: Tensor, last: Tensor) -> Tensor:
 
 def _read_curves(
     bubbles: Bubbles, history: Tensor, times: Tensor, status: Tensor
-) -> tuple[Tensor, Tensor, Tensor]:
+) -> tuple[Tensor, ...]:
     """Radius, velocity and pressure at ``times``.
 
     NaN for times that a failed member did not reach in good state.
     """
     radius = history[:, 0]
-    nodes = history[:, 2]
     good = torch.isfinite(history).all(1) & (radius > 0.0) & (radius < RUNAWAY)
-    reached = torch.where(good, nodes, 0.0).amax(0)  # last good time of each member
     good = good.cummin(0).values
-    nodes = torch.where(good, nodes, reached).cummax(0).values
-    state = torch.where(good, history.movedim(1, 0), 0.0)
-    state = torch.cat((torch.where(good, radius, 1.0)[None], state[1:2], nodes[None], state[3:]))
-    force = move_wall(bubbles, head_of(bubbles, state))[0]
-    nodes = nodes.T.contiguous()
-    at, speed = interpolate_radius(nodes, state[0].T, state[1].T, force.T, times)
-    known = (status == Status.DONE)[:, None] | (times < reached[:, None])
-    nan = torch.full_like(times, torch.nan)
-    end, _, share = bracket_times(nodes, times)
-    rest = [torch.lerp(*ends_of(row.T, end), share).T for row in state[3:].unbind(0)]
+    reached = torch.where(good, history[:, 2], 0.0).amax(0)  # last good time of each member
+    nodes = torch.where(good, history[:, 2], reached).cummax(0).values.T.contiguous()
+    states = history.movedim(1, 0)
+    force = move_wall(bubbles, head_of(bubbles, states))[0]
+    end, step, share = bracket_times(nodes, times)
+    knots = [ends_of(row.T, end) for row in (*states, force)]
+    at, speed = hermite_quintic(share, step, knots[0], knots[1], knots[-1])
+    rest = [torch.lerp(*ends, share).T for ends in knots[3:-1]]
     pressure = head_of(bubbles, torch.stack((at.T, speed.T, times.T, *rest))).pressure.T
-    return (
-        torch.where(known, at, nan),
-        torch.where(known, speed, nan),
-        torch.where(known, pressure, nan),
-    )
+    known = (status == Status.DONE)[:, None] | (times < reached[:, None])
+    return tuple(torch.where(known, curve, torch.nan) for curve in (at, speed, pressure))

@@ -205,10 +205,11 @@ def differentiable(
             "imr_torch.simulate.sensitivities, or detach what is not to be differentiated twice."
         )
     shape, parameters, designs, times = broadcast_batch(parameters, designs, times)
-    asked = in_transform(parameters, designs, times)
-    by_gel = asked or parameters.requires_grad
-    by_design = asked or designs.requires_grad
-    radius, *others, _ = _Radius.apply(simulator, parameters, designs, times, by_gel, by_design)
+    every = in_transform(parameters, designs, times)
+    of_gel = PARAMETERS.names if every or parameters.requires_grad else ()
+    of_design = DESIGN if every or designs.requires_grad else ()
+    values = torch.cat((parameters, designs.to(parameters)), 1)
+    radius, *others, _ = _Radius.apply(simulator, values, times, (*of_gel, *of_design))
     fields = [value.reshape((*shape, *value.shape[1:])) for value in (radius, *others)]
     return Solution(times.reshape(*shape, -1), *fields)
 
@@ -229,26 +230,23 @@ def _derivative_levels(*tensors: Tensor) -> set[int]:
 
 
 class _Radius(torch.autograd.Function):
-    """Flat parameters, designs and times to the fields of a solution after ``times``, its radius
-    differentiable.
+    """Parameters and design side by side and times to the fields of a solution after ``times``, its
+    radius differentiable.
 
-    The last output is the Jacobian, ``B x n_t x k``, which the derivatives are made of.
+    The last output is the Jacobian, ``B x n_t x (p + 2)``, which the derivatives are made of; it is 0
+    for entries that are not among ``names``. The derivatives of failed members are NaN, and count only
+    if asked for.
     """
 
     @staticmethod
     def forward(
-        simulator: Simulator,
-        parameters: Tensor,
-        designs: Tensor,
-        times: Tensor,
-        by_gel: bool,
-        by_design: bool,
+        simulator: Simulator, values: Tensor, times: Tensor, names: tuple[str, ...]
     ) -> tuple[Tensor, ...]:
-        names = (*(PARAMETERS.names if by_gel else ()), *(DESIGN if by_design else ()))
-        solution, jacobian = sensitivities(simulator, parameters, designs, times, names=names)
-        if by_gel:
-            gels = torch.cat((parameters, designs.to(parameters)), 1)
-            jacobian = torch.where(_mask_singular(gels)[:, None, : len(names)], 0.0, jacobian)
+        gels, designs = values.split((len(PARAMETERS), len(DESIGN)), 1)
+        solution, slopes = sensitivities(simulator, gels, designs, times, names=names)
+        columns = torch.tensor([_column_of(name) for name in names], device=values.device).long()
+        jacobian = slopes.new_zeros(*times.shape, values.shape[1]).index_copy(2, columns, slopes)
+        jacobian = torch.where(_mask_singular(values)[:, None], 0.0, jacobian)
         others = (solution.velocity, solution.bubble_pressure, solution.status, solution.steps)
         return solution.radius, *others, jacobian
 
@@ -257,54 +255,40 @@ class _Radius(torch.autograd.Function):
         ctx.mark_non_differentiable(*output[1:])
         ctx.save_for_backward(output[-1], output[1])
         ctx.save_for_forward(output[-1], output[1])
-        ctx.gels = len(PARAMETERS) if inputs[4] else 0
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         gradient = gradients[0]  # of the radius, the only output that has one
         jacobian, velocity = ctx.saved_tensors
-        asked = (
-            gradient != 0.0
-        )  # the derivatives of failed members are NaN, and count only if asked for
-        columns = torch.where(asked[..., None], gradient[..., None] * jacobian, 0.0).sum(1)
-        by_gel = columns[:, : ctx.gels]
-        by_design = columns[:, ctx.gels :]
-        needed = ctx.needs_input_grad
-        by_time = torch.where(asked, gradient * velocity, 0.0)
-        found = (
-            by_gel if needed[1] else None,
-            by_design if needed[2] else None,
-            by_time if needed[3] else None,
-        )
-        return None, *found, None, None
+        asked = gradient != 0.0
+        by_value = torch.where(asked[..., None], gradient[..., None] * jacobian, 0.0).sum(1)
+        return None, by_value, torch.where(asked, gradient * velocity, 0.0), None
 
     @staticmethod
     def jvp(ctx: Any, *tangents: Tensor | None) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         jacobian, velocity = ctx.saved_tensors
-        by_gel = jacobian[..., : ctx.gels]
-        by_design = jacobian[..., ctx.gels :]
         change = torch.zeros_like(velocity)
-        for slopes, tangent in ((by_gel, tangents[1]), (by_design, tangents[2])):
-            if (
-                tangent is not None
-            ):  # the derivatives of failed members are NaN, and count only if asked for
-                parts = torch.where(tangent[:, None] != 0.0, slopes * tangent[:, None], 0.0)
-                change = change + parts.sum(-1)
-        if tangents[3] is not None:
-            change = change + torch.where(tangents[3] != 0.0, velocity * tangents[3], 0.0)
+        if tangents[1] is not None:
+            along = tangents[1][:, None]
+            change = change + torch.where(along != 0.0, jacobian * along, 0.0).sum(-1)
+        if tangents[2] is not None:
+            change = change + torch.where(tangents[2] != 0.0, velocity * tangents[2], 0.0)
         return change, None, None, None, None, None
 
     @staticmethod
     def vmap(  # pyright: ignore[reportIncompatibleMethodOverride]
-        info: Any, in_dims: tuple[Any, ...], simulator: Simulator, *inputs: Any
+        info: Any,
+        in_dims: tuple[Any, ...],
+        simulator: Simulator,
+        values: Tensor,
+        times: Tensor,
+        names: tuple[str, ...],
     ) -> tuple[tuple[Tensor, ...], tuple[int, ...]]:
         """One more dimension of the batch."""
-        tensors = inputs[:3]
-        flags = inputs[3:]
         moved = [
             x.expand(info.batch_size, *x.shape) if dim is None else x.movedim(dim, 0)
-            for x, dim in zip(tensors, in_dims[1:4], strict=True)
+            for x, dim in zip((values, times), in_dims[1:3], strict=True)
         ]
-        outputs = _Radius.apply(simulator, *(x.flatten(0, 1) for x in moved), *flags)
+        outputs = _Radius.apply(simulator, *(x.flatten(0, 1) for x in moved), names)
         return tuple(x.unflatten(0, (info.batch_size, -1)) for x in outputs), (0,) * len(outputs)

@@ -234,11 +234,10 @@ def broadcast_batch(
     >>> tuple(shape), [tuple(x.shape) for x in flat][1:]
     ((3,), [(3, 2), (3, 5)])
     """
-    if parameters.shape[-1:] != (PARAMETERS.size,):
+    if parameters.shape[-1:] != (len(PARAMETERS),):
         raise ShapeError(
             f"parameters has shape {tuple(parameters.shape)}; expected batch_shape x "
-            f"{PARAMETERS.size} "
-            f"in the order {PARAMETERS.names}. PARAMETERS.pack makes it from names."
+            f"{len(PARAMETERS)} in the order {PARAMETERS.names}. PARAMETERS.pack makes it from names."
         )
     if designs.shape[-1:] != (2,):
         raise ShapeError(

@@ -16,13 +16,13 @@ from torchdiffeq import odeint
 from imr_torch.errors import InputDataError
 from imr_torch.material import StressTerm
 from imr_torch.simulate.bubbles import Bubbles
-from imr_torch.simulate.clock import bracket_times, ends_of, hermite_cubic, interpolate_radius
+from imr_torch.simulate.clock import bracket_times, ends_of, hermite_cubic, hermite_quintic
 from imr_torch.simulate.conditions import Conditions
-from imr_torch.simulate.controller import FIRST_STEP, PATIENCE, UNDERFLOW
 from imr_torch.simulate.engines import Engine, EngineSimulator, can_compile
 from imr_torch.simulate.grids import Resolution
-from imr_torch.simulate.ode_method import ACCEPTED, CONTROL, NOT_FINITE, TransportField
+from imr_torch.simulate.ode_method import CONTROL, NOT_FINITE, TransportField
 from imr_torch.simulate.rhs import Equations
+from imr_torch.simulate.rosenbrock import FIRST_STEP, PATIENCE, UNDERFLOW
 from imr_torch.simulate.simulator import RUNAWAY, Simulator, Status
 from imr_torch.simulate.wall import name_sonic
 
@@ -152,7 +152,6 @@ def _integrate_bundles(
     last = times[:, -1].unflatten(0, (-1, width)).amax(1)
     state = whole.start()
     nodes = [_nodes_of(whole, state[None])]
-    fresh = [torch.ones_like(times[None, :, 0], dtype=torch.bool)]
     status = torch.full_like(last, RUNNING, dtype=torch.long)
     running = torch.arange(len(last), device=last.device)
     for tried in range(0, max_steps, block):
@@ -165,20 +164,18 @@ def _integrate_bundles(
         new = nodes[-1][:, -1:].expand(-1, count, -1).clone()
         new[:, :, members] = _nodes_of(moving, path[1:])
         nodes.append(new)
-        accepted = fresh[0].new_zeros(count, len(whole))
-        accepted[:, members] = (path[1:, -1] == ACCEPTED) & torch.isfinite(path[1:]).all(1)
-        fresh.append(accepted)
         state[:, members] = path[-1]
         status[running] = _judge_bundles(path.unflatten(2, (-1, width)), last[running])
         running = torch.nonzero(status == RUNNING)[:, 0]
         if not len(running):
             break
     status = torch.where(status == RUNNING, int(Status.TOO_MANY_STEPS), status)
-    path, steps = _keep_accepted(torch.cat(nodes, 1), torch.cat(fresh), times[:, -1])
+    path, steps = _keep_accepted(torch.cat(nodes, 1), times[:, -1])
     vapour = whole.equations.bubbles.numbers.constant_vapour
-    radius, velocity = interpolate_radius(path[0], path[1], path[2], path[3], times)
     end, step, share = bracket_times(path[0], times)
-    logarithm = hermite_cubic(share, step, ends_of(path[4], end), ends_of(path[5], end))
+    knots = [ends_of(row, end) for row in path[1:]]
+    radius, velocity = hermite_quintic(share, step, *knots[:3])
+    logarithm = hermite_cubic(share, step, *knots[3:])
     pressure = torch.exp(logarithm) + vapour[:, None]
     known = times <= path[0, :, -1:]
     curves = (torch.where(known, values, torch.nan) for values in (radius, velocity, pressure))
@@ -196,11 +193,7 @@ def _nodes_of(field: TransportField, path: Tensor) -> Tensor:
     """
     count = path.shape[0]
     size = path.shape[2]
-    copies = (
-        field.equations
-        if count == 1
-        else field.equations.take(torch.arange(size, device=path.device).repeat(count))
-    )
+    copies = field.equations.take(torch.arange(size, device=path.device).repeat(count))
     states = path.movedim(0, 1).flatten(1)
     f = copies.fields(states[:-CONTROL], states[-CONTROL])
     rates = copies.rate(f)
@@ -228,15 +221,15 @@ def _judge_bundles(path: Tensor, last: Tensor) -> Tensor:
     return verdict
 
 
-def _keep_accepted(nodes: Tensor, fresh: Tensor, last: Tensor) -> tuple[Tensor, Tensor]:
-    """Nodes of accepted steps only, ``6 x B x n`` with the last repeated, and how many each member
-    took to its last time.
+def _keep_accepted(nodes: Tensor, last: Tensor) -> tuple[Tensor, Tensor]:
+    """Nodes with that of the last accepted step in place of every other one, ``6 x B x n``, and how
+    many steps each member took to its last time.
     """
-    kept = nodes.gather(
-        1, torch.argsort((~fresh).long(), dim=0, stable=True).expand(len(nodes), -1, -1)
-    )
-    count = fresh.sum(0) - 1
-    position = torch.minimum(torch.arange(len(fresh), device=count.device)[:, None], count)
-    kept = kept.gather(1, position.expand(len(nodes), -1, -1))[:, : max(2, int(count.max()) + 1)]
-    steps = (fresh & (nodes[0] < last)).sum(0) + (nodes[0, -1] >= last).long()
+    time = nodes[0]
+    fresh = torch.isfinite(nodes).all(0)
+    fresh[1:] &= time[1:] > time[:-1]
+    number = torch.arange(len(fresh), device=fresh.device)[:, None]
+    accepted = torch.where(fresh, number, 0).cummax(0).values
+    kept = nodes.gather(1, accepted.expand(len(nodes), -1, -1))
+    steps = (fresh & (time < last)).sum(0) + (time[-1] >= last).long()
     return kept.movedim(1, 2).contiguous(), steps

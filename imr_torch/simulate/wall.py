@@ -54,15 +54,9 @@ def motion_slopes(bubbles: Bubbles, head: Head) -> Inexact[Tensor, "entries acce
     """
     far, far_rate, far_bend = far_field(bubbles, head.time)
 
-    def rows(
-        radius: Tensor,
-        velocity: Tensor,
-        pressure: Tensor,
-        rate: Tensor,
-        beyond: Tensor,
-        *memory: Tensor,
-    ) -> Tensor:
+    def rows(*point: Tensor) -> Tensor:
         """``U'`` and ``d memory/dt``; ``beyond`` is a time by which the far field moves on."""
+        radius, velocity, pressure, rate, beyond, *memory = point
         states = torch.stack(memory) if memory else radius.new_zeros(0, *radius.shape)
         moved = Head(head.time, radius, velocity, pressure, rate, states)
         force, changes = _move_wall_in(
@@ -70,14 +64,8 @@ def motion_slopes(bubbles: Bubbles, head: Head) -> Inexact[Tensor, "entries acce
         )
         return torch.cat((force[None], changes))
 
-    point = (
-        head.radius,
-        head.velocity,
-        head.pressure,
-        head.pressure_rate,
-        torch.zeros_like(head.radius),
-        *head.memory,
-    )
+    state = (head.radius, head.velocity, head.pressure, head.pressure_rate)
+    point = (*state, torch.zeros_like(head.radius), *head.memory)
     return derivatives(rows, point, analytic=bubbles.analytic)
 
 
@@ -90,9 +78,8 @@ def _move_wall_in(
     stress, memory_rate = gel_response(
         bubbles.terms, radius, velocity, numbers.rest_radius, bubbles.theta, head.memory
     )
-    parts = (stress.value, stress.rate, stress.acceleration)
     state = (radius, velocity, head.pressure, head.pressure_rate)
-    arguments = radial_arguments(*state, parts, far, far_rate, numbers, bubbles.constants)
+    arguments = radial_arguments(*state, stress, far, far_rate, numbers, bubbles.constants)
     acceleration = bubbles.conditions.motion.acceleration(*arguments)
     return acceleration * numbers.pace * numbers.pace, memory_rate
 
@@ -109,11 +96,8 @@ def name_sonic(bubbles: Bubbles, status: Tensor, velocity: Members) -> Tensor:
 def gas_loss(bubbles: Bubbles, radius: Members, velocity: Members) -> Members:
     """Relative rate ``-n'/n`` at which gas is lost, by all effects, a ``B`` tensor."""
     total = torch.zeros_like(radius)
-    for effect in bubbles.acting("gas_loss"):
-        assert effect.gas_loss is not None
-        total = total + effect.gas_loss(
-            radius, velocity, bubbles.numbers.rest_radius, *bubbles.arguments(effect)
-        )
+    for law, parameters in bubbles.acting("gas_loss"):
+        total = total + law(radius, velocity, bubbles.numbers.rest_radius, *parameters)
     return total
 
 
@@ -122,8 +106,6 @@ def gas_loss_slopes(
 ) -> tuple[Members, Members, Members]:
     """:func:`gas_loss` and its derivatives in R and U."""
     lost = gas_loss(bubbles, radius, velocity)
-    if not bubbles.acting("gas_loss"):
-        return lost, lost, lost
     by_radius, by_velocity = derivatives(
         lambda r, u: gas_loss(bubbles, r, u), (radius, velocity), analytic=bubbles.analytic
     )
@@ -134,40 +116,31 @@ def vapour_factor(bubbles: Bubbles, compression: Members) -> tuple[Members, Memb
     """Factor on the saturation pressure at a compression of the contents, and its logarithmic
     derivative; ``B`` tensors.
     """
-    one = torch.ones_like(compression)
-    effects = bubbles.acting("vapour")
-    if not effects:
-        return one, torch.zeros_like(one)
 
     def factor(moved: Tensor) -> Tensor:
         total = torch.ones_like(moved)
-        for effect in effects:
-            assert effect.vapour is not None
-            total = total * effect.vapour(moved, *bubbles.arguments(effect))
+        for law, parameters in bubbles.acting("vapour"):
+            total = total * law(moved, *parameters)
         return total
 
     value = factor(compression)
-    return value, derivatives(factor, (compression,), analytic=bubbles.analytic)[
-        0
-    ] * compression / value
+    slope = derivatives(factor, (compression,), analytic=bubbles.analytic)[0]
+    return value, slope * compression / value
 
 
 def far_field(bubbles: Bubbles, time: Members) -> tuple[Members, Members, Members]:
     """Far-field pressure and its first two time derivatives, dimensionless."""
     value = bubbles.numbers.far
     rate = bend = torch.zeros_like(value)
+    parts = [law(time, *parameters) for law, parameters in bubbles.acting("far_field")]
     driving = bubbles.conditions.driving
     if driving is not None:
         seconds = bubbles.numbers.seconds
         scale = 1.0 / bubbles.conditions.surroundings.far_field_pressure
         given = driving(time * seconds)
-        value = value + given[0] * scale
-        rate = rate + given[1] * seconds * scale
-        bend = bend + given[2] * seconds**2 * scale
-    for effect in bubbles.acting("far_field"):
-        assert effect.far_field is not None
-        more = effect.far_field(time, *bubbles.arguments(effect))
-        value = value + more[0]
-        rate = rate + more[1]
-        bend = bend + more[2]
+        parts.insert(0, [x * seconds**order * scale for order, x in enumerate(given)])
+    for part in parts:
+        value = value + part[0]
+        rate = rate + part[1]
+        bend = bend + part[2]
     return value, rate, bend

@@ -18,7 +18,7 @@ from imr_torch.observe import (
     Statement,
     gel_medium,
 )
-from imr_torch.simulate.medium import OF_MEDIUM
+from imr_torch.simulate.setting import OF_MEDIUM
 
 SIMULATOR = PolytropicSimulator()
 OPTIONS = SearchOptions(raw_samples=24, starts=2)

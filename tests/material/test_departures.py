@@ -8,13 +8,7 @@ from scipy.integrate import quad
 from torch import Tensor
 
 from imr_torch.material import Stress, material
-from imr_torch.material.departures import (
-    DAMAGE,
-    GRADED_MODULUS,
-    PERMANENT_SET,
-    VISCOUS_DAMAGE,
-    YIELD_STRESS,
-)
+from imr_torch.material.departures import DEPARTURES
 from tests.material.gels import (
     RELAXATION_TIMES,
     REST,
@@ -25,6 +19,7 @@ from tests.material.gels import (
     tensors,
 )
 
+DAMAGE, VISCOUS_DAMAGE, YIELD_STRESS, GRADED_MODULUS, PERMANENT_SET = DEPARTURES
 GEL = {"G": 0.08, "alpha": 0.7}
 RADII = pytest.mark.parametrize("radius", [0.06, 0.15, 0.229, 0.3, 0.9, 1.4])
 

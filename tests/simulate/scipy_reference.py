@@ -122,7 +122,7 @@ class ScipySimulator:
 
 
 class _Polytropic:
-    """Polytropic gas; the state is (R, U, t, memory, and what else the simulator keeps)."""
+    """Polytropic gas; the state is (R, U, t, gas left, memory)."""
 
     def __init__(self, bubbles: Bubbles) -> None:
         self._bubbles = bubbles

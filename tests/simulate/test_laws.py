@@ -17,8 +17,8 @@ from imr_torch.simulate import (
     RadialEquation,
     TabulatedDriving,
 )
+from imr_torch.simulate.conditions import compression_of
 from imr_torch.simulate.driving import evaluate_spline
-from imr_torch.simulate.gas import compression_of
 from imr_torch.simulate.radial import drive_wall
 from tests.laws import assert_alike
 

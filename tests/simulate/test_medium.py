@@ -21,7 +21,7 @@ from imr_torch.simulate import (
     Resolution,
     TransportSimulator,
 )
-from imr_torch.simulate.medium import OF_MEDIUM
+from imr_torch.simulate.setting import OF_MEDIUM
 from imr_torch.units import Surroundings
 from tests.simulate.bubble import FINE, gel, grid, sine, tensor
 

@@ -27,10 +27,9 @@ from imr_torch.simulate import (
 )
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.clock import bracket_times, ends_of, hermite_cubic
-from imr_torch.simulate.controller import scaled_error, step_factor
 from imr_torch.simulate.engines import ENGINES
 from imr_torch.simulate.rhs import HEAD, Equations
-from imr_torch.simulate.rosenbrock import rosenbrock_step
+from imr_torch.simulate.rosenbrock import rosenbrock_step, scaled_error, step_factor
 
 TIMES = torch.linspace(0.0, 2.5, 51, dtype=torch.float64)
 GEL = PARAMETERS.pack({"G": 2770.0, "mu": 0.186, "alpha": 0.48})

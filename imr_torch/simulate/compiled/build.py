@@ -1,8 +1,8 @@
 """From laws to compiled code: what is compiled, where it is kept, and when it is compiled anew.
 
-The common stress laws, and all effects, radial equations and gas laws, are put
-into one small generated module, ``laws``, each kind as one function that calls those that act;
-every other stress law is a module by itself (:mod:`~imr_torch.simulate.compiled.address`). The
+The common stress laws and all effects are put into one small generated module, ``laws``, each kind
+as one function that calls those that act, beside the laws of the radial equation, its liquid and the
+gas; every other stress law is a module by itself (:mod:`~imr_torch.simulate.compiled.address`). The
 modules of this folder whose functions are kernels are loaded beside it as a package of their own,
 so that a second registry gets kernels of its own. Numba compiles an entry point once and keeps the
 machine code next to the generated module. The folder is named by a hash of the code of the engine
@@ -21,7 +21,7 @@ import sys
 import tempfile
 import time
 import types
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -45,35 +45,31 @@ class Registry:
     Args:
         terms: stress terms whose laws it holds.
         effects: effects with laws that act at every step.
-        radial: laws of radial equations.
-        liquids: laws of liquids.
-        gases: laws of polytropic gas.
+        radial: law of the radial equation.
+        liquid: law of its liquid.
+        gas: law of polytropic gas.
     """
 
     terms: tuple[StressTerm, ...]
     effects: tuple[Effect, ...]
-    radial: tuple[Law, ...]
-    liquids: tuple[Law, ...]
-    gases: tuple[Law, ...]
+    radial: Law
+    liquid: Law
+    gas: Law
 
-    def named_laws(self) -> Iterator[tuple[str, Law]]:
-        """Every law with its name in the generated module."""
-        groups: dict[str, Sequence[Law | None]] = {
-            "law": [term.law for term in self.terms],
-            **{kind: [getattr(effect, kind) for effect in self.effects] for kind in _EFFECTS},
-            "radial": self.radial,
-            "liquid": self.liquids,
-            "gas": self.gases,
-        }
-        for kind, group in groups.items():
-            yield from ((f"{kind}_{i}", law) for i, law in enumerate(group) if law is not None)
+    def named_laws(self) -> dict[str, Law]:
+        """Every law by its name in the generated module."""
+        named = {"radial_law": self.radial, "liquid_law": self.liquid, "gas_law": self.gas}
+        named |= {f"stress_{i}": term.law for i, term in enumerate(self.terms)}
+        for i, effect in enumerate(self.effects):
+            named |= {f"{kind}_{i}": getattr(effect, kind) for kind in _EFFECTS}
+        return {name: law for name, law in named.items() if law is not None}
 
 
 @functools.cache
 def load_engine(registry: Registry) -> types.ModuleType:
     """The generated module of a registry, with ``solve_transport`` and ``solve_polytropic``."""
     blocks = (transport.solve_block, polytropic.solve_block)
-    return load_generated(source_of(registry), dict(registry.named_laws()), blocks)
+    return load_generated(source_of(registry), registry.named_laws(), blocks)
 
 
 def load_generated(
@@ -158,9 +154,6 @@ def source_of(registry: Registry) -> str:
         _HEAD,
         _write_stress(registry.terms),
         _write_effects(registry.effects),
-        _write_choice("radial", registry.radial),
-        _write_choice("liquid", registry.liquids),
-        _write_choice("gas", registry.gases),
         _write_numbers(),
         _write_entry("transport", transport.solve_block),
         _write_entry("polytropic", polytropic.solve_block),
@@ -174,7 +167,11 @@ import functools
 
 from imr_torch.elementary import kernel
 from imr_torch.simulate.bubbles import Numbers
-from imr_torch.simulate.compiled.address import call_law'''
+from imr_torch.simulate.compiled.address import call_law
+
+radial = kernel(radial_law)
+liquid = kernel(liquid_law)
+gas = kernel(gas_law)'''
 
 
 def _write_entry(physics: str, block: Any) -> str:
@@ -207,7 +204,7 @@ def _write_stress(terms: Sequence[StressTerm]) -> str:
         changes = "".join(f", rates[k + {j}]" for j in range(term.states))
         lines += [
             f"    if on[{i}]:  # {term.name}",
-            f"        v, r, a{changes} = law_{i}(radius, velocity, "
+            f"        v, r, a{changes} = stress_{i}(radius, velocity, "
             f"rest_radius{states}{_theta_columns(term.names)})",
             "        value += v",
             "        rate += r",
@@ -254,27 +251,6 @@ def _write_effects(effects: Sequence[Effect]) -> str:
                 lines += [f"        total = total {operator} {call}"]
         functions.append("\n".join([*lines, "    return total"]))
     return "\n\n\n".join(functions)
-
-
-def _write_choice(kind: str, laws: Sequence[Law]) -> str:
-    """One function that calls the law of a number.
-
-    Arguments that the shortest law lacks come out of one array.
-    """
-    signatures = [tuple(inspect.signature(law).parameters) for law in laws]
-    common = min(signatures, key=len)
-    arguments = ", ".join(common)
-    lines = ["@kernel", f"def {kind}(kind, {arguments}, constants):"]
-    for i, (law, own) in enumerate(zip(laws, signatures, strict=True)):
-        call = f"{kind}_{i}({arguments}{_entries(len(own) - len(common))})"
-        lines += [f"    if kind == {i}:  # {law.__qualname__}", f"        return {call}"]
-    lines[-2] = "    # " + laws[-1].__qualname__
-    lines[-1] = lines[-1][4:]
-    return "\n".join(lines)
-
-
-def _entries(count: int) -> str:
-    return "".join(f", constants[{j}]" for j in range(count))
 
 
 def _write_numbers() -> str:

@@ -12,58 +12,55 @@ TIME, RADIUS, VELOCITY, ACCELERATION, PRESSURE, PRESSURE_RATE = range(6)
 
 
 @kernel
-def fill_curves(before, after, begin, times, radius, velocity):
-    """Radius and velocity at all times up to a node.
+def push_node(node, nodes):
+    """Make a node the last of two."""
+    for i in range(len(node)):
+        nodes[0, i], nodes[1, i] = nodes[1, i], node[i]
+
+
+@kernel
+def fill_curves(nodes, begin, times, curves):
+    """Radius and velocity at all times up to the last of two nodes.
 
     Args:
-        before: the node before, six numbers in the order of the rows above.
-        after: the node.
+        nodes: six numbers each, in the order of the rows above.
         begin: number of the first time that is not filled in yet.
         times: ``n_t`` times.
-        radius: ``n_t``, receives ``R``.
-        velocity: ``n_t``, receives ``U``.
+        curves: receives ``R`` and ``U``, ``n_t`` numbers each.
 
     Returns:
         Number of the first time after the node.
     """
-    start = before[TIME]
-    step = max(after[TIME] - start, 1e-300)
-    at = (before[RADIUS], after[RADIUS])
-    speed = (before[VELOCITY], after[VELOCITY])
+    before = nodes[0]
+    after = nodes[1]
+    step = max(after[TIME] - before[TIME], 1e-300)
+    radius = (before[RADIUS], after[RADIUS])
+    velocity = (before[VELOCITY], after[VELOCITY])
     force = (before[ACCELERATION], after[ACCELERATION])
     while begin < len(times) and times[begin] <= after[TIME]:
-        share = (times[begin] - start) / step
-        radius[begin], velocity[begin] = hermite_quintic(share, step, at, speed, force)
+        share = (times[begin] - before[TIME]) / step
+        curves[0, begin], curves[1, begin] = hermite_quintic(share, step, radius, velocity, force)
         begin += 1
     return begin
 
 
 @kernel
-def fill_pressure(before, after, begin, end, times, pressure):
-    """Pressure at some times before a node, by cubic Hermite interpolation of its logarithm.
-
-    Arguments as :func:`fill_curves`.
-    """
-    start = before[TIME]
-    step = max(after[TIME] - start, 1e-300)
-    logarithm = (before[PRESSURE], after[PRESSURE])
-    rate = (before[PRESSURE_RATE], after[PRESSURE_RATE])
-    for j in range(begin, end):
-        pressure[j] = np.exp(hermite_cubic((times[j] - start) / step, step, logarithm, rate))
-
-
-@kernel
 def record_node(node, nodes, begin, second, times, curves):
-    """Make a node the last of two, and fill the output up to it unless it is the first.
+    """Make a node the last of two, and fill the output up to it unless it is the first: the pressure
+    by cubic Hermite interpolation of its logarithm.
 
     Returns the next time to be filled.
     """
-    before = nodes[0]
-    after = nodes[1]
-    for i in range(len(node)):
-        before[i], after[i] = after[i], node[i]
+    push_node(node, nodes)
     if not second:
         return begin
-    end = fill_curves(before, after, begin, times, curves[0], curves[1])
-    fill_pressure(before, after, begin, end, times, curves[2])
+    end = fill_curves(nodes, begin, times, curves)
+    before = nodes[0]
+    after = nodes[1]
+    step = max(after[TIME] - before[TIME], 1e-300)
+    logarithm = (before[PRESSURE], after[PRESSURE])
+    rate = (before[PRESSURE_RATE], after[PRESSURE_RATE])
+    for j in range(begin, end):
+        share = (times[j] - before[TIME]) / step
+        curves[2, j] = np.exp(hermite_cubic(share, step, logarithm, rate))
     return end

@@ -12,11 +12,11 @@ import numpy as np
 
 from imr_torch.elementary import kernel
 from imr_torch.simulate.clock import time_per_tick
-from imr_torch.simulate.gas import compression_of
+from imr_torch.simulate.conditions import compression_of
 from imr_torch.simulate.simulator import RUNAWAY, Status
 
 from . import laws
-from .output import ACCELERATION, RADIUS, TIME, VELOCITY, fill_curves
+from .output import TIME, VELOCITY, fill_curves, push_node
 from .wall import gas_loss, member_of, move_wall, name_sonic, vapour_factor
 
 _DONE = int(Status.DONE)
@@ -46,14 +46,13 @@ def work_for(states: int, width: int) -> Work:
 
 
 @kernel
-def contents_at(radius, velocity, left, member, setup):
+def contents_at(radius, velocity, left, member):
     """Pressure inside, its rate, and the relative rate at which gas is lost."""
     b = member.b
     compression = compression_of(radius, b.exponent)
     factor, trapped = vapour_factor(compression, member)
     lost = gas_loss(radius, velocity, member)[0]
     pressure, rate = laws.gas(
-        setup.gas,
         radius,
         velocity,
         left,
@@ -64,18 +63,17 @@ def contents_at(radius, velocity, left, member, setup):
         b.gas,
         b.exponent,
         b.vapour,
-        setup.motion_constants,
     )
     return pressure, rate, lost
 
 
 @kernel
-def rates_at(state, fading, member, setup, out):
+def rates_at(state, fading, member, out):
     """Derivatives of the state in stretched time; returns ``U'``."""
     radius = state[0]
     velocity = state[1]
     last = len(state) - 1
-    pressure, rate, lost = contents_at(radius, velocity, state[last], member, setup)
+    pressure, rate, lost = contents_at(radius, velocity, state[last], member)
     force = move_wall(
         state[2],
         radius,
@@ -85,7 +83,6 @@ def rates_at(state, fading, member, setup, out):
         state[HEAD:last],
         out[HEAD:last],
         member,
-        setup,
     )
     tick = time_per_tick(radius, velocity, force, pressure, fading, member.b)
     out[0], out[1], out[2] = tick * velocity, tick * force, tick
@@ -96,13 +93,12 @@ def rates_at(state, fading, member, setup, out):
 
 
 @partial(kernel, inline="source")
-def integrate_bubble(batch, i, setup, h, share, max_steps, work):
+def integrate_bubble(batch, i, h, share, max_steps, work):
     """Integrate one bubble to its last time; returns status and steps taken.
 
     Args:
         batch: the bubbles.
         i: number of the bubble.
-        setup: what the batch shares.
         h: length of a step of stretched time.
         share: weight of the gel's memory in the time scale.
         max_steps: steps after which it is given up.
@@ -126,43 +122,36 @@ def integrate_bubble(batch, i, setup, h, share, max_steps, work):
     step = 0
     gas_before = 1.0
     while True:
-        force = rates_at(state, fading, member, setup, rates[0])
+        force = rates_at(state, fading, member, rates[0])
         finite = np.isfinite(force) and state[0] > 0.0
         for value in state:
             finite = finite and np.isfinite(value)
         if not finite:
             speed = state[1] if np.isfinite(state[1]) else nodes[1, VELOCITY]
-            return name_sonic(_NON_FINITE, speed, member, setup), step
+            return name_sonic(_NON_FINITE, speed, member), step
         if state[0] > RUNAWAY:
-            return name_sonic(_RUNAWAY, state[1], member, setup), step
-        node = nodes[1]
-        for k in range(len(node)):
-            nodes[0, k] = node[k]
-        node[TIME], node[RADIUS], node[VELOCITY], node[ACCELERATION] = (
-            state[2],
-            state[0],
-            state[1],
-            force,
-        )
+            return name_sonic(_RUNAWAY, state[1], member), step
+        push_node((state[2], state[0], state[1], force), nodes)
         if step > 0:
             begin = filled
-            filled = fill_curves(nodes[0], node, filled, times, curves[0], curves[1])
+            filled = fill_curves(nodes, filled, times, curves)
+            length = max(nodes[1, TIME] - nodes[0, TIME], 1e-300)
             for j in range(begin, filled):
-                share_after = (times[j] - nodes[0, TIME]) / max(node[TIME] - nodes[0, TIME], 1e-300)
+                share_after = (times[j] - nodes[0, TIME]) / length
                 left = gas_before + share_after * (state[gas] - gas_before)
-                curves[2, j] = contents_at(curves[0, j], curves[1, j], left, member, setup)[0]
+                curves[2, j] = contents_at(curves[0, j], curves[1, j], left, member)[0]
             gas_before = state[gas]
         if state[2] >= times[-1] and step > 0:  # output takes two nodes
             return _DONE, step
         if step >= max_steps:
-            return name_sonic(_TOO_MANY, state[1], member, setup), step
+            return name_sonic(_TOO_MANY, state[1], member), step
         for number in range(1, 4):
             for k in range(size):
                 change = 0.0
                 for earlier in range(number):
                     change += _STAGES[number - 1, earlier] * rates[earlier, k]
                 stage[k] = state[k] + h * change
-            rates_at(stage, fading, member, setup, rates[number])
+            rates_at(stage, fading, member, rates[number])
         for k in range(size):
             change = rates[0, k] + 3.0 * (rates[1, k] + rates[2, k]) + rates[3, k]
             state[k] += change * h * 0.125
@@ -170,13 +159,12 @@ def integrate_bubble(batch, i, setup, h, share, max_steps, work):
 
 
 @partial(kernel, inline="source")
-def solve_block(which, batch, setup, settings, work):
+def solve_block(which, batch, settings, work):
     """Integrate some bundles of a batch, one by one.
 
     Args:
         which: numbers of the bundles.
         batch: the bubbles.
-        setup: what they share.
         settings: for each attempt, the length of a step of stretched time and the weight of the
             gel's memory; and steps at most.
         work: arrays for the memory states that these bundles have.
@@ -190,7 +178,7 @@ def solve_block(which, batch, setup, settings, work):
             limit = max_steps if leads else 2 * max_steps  # a follower may need a little longer
             step = attempts[chosen, 0]
             share = attempts[chosen, 1]
-            outcome, taken = integrate_bubble(batch, member, setup, step, share, limit, work)
+            outcome, taken = integrate_bubble(batch, member, step, share, limit, work)
             if leads:
                 batch.status[bundle] = outcome
                 batch.steps[bundle] = taken

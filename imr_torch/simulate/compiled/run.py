@@ -16,11 +16,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from imr_torch.elementary import obstacle_of
-from imr_torch.material import LIBRARY, PARAMETERS, StressTerm
-from imr_torch.material.elastic import NEO_HOOKEAN, STIFFENING
-from imr_torch.material.memory import MAXWELL
-from imr_torch.material.viscous import NEWTONIAN
+from imr_torch.material import LIBRARY, MATERIALS, PARAMETERS, StressTerm
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.clock import memory_share
 from imr_torch.simulate.compiled import polytropic, step
@@ -35,46 +31,28 @@ from imr_torch.simulate.compiled.build import (
 from imr_torch.simulate.compiled.wall import Batch, Setup
 from imr_torch.simulate.conditions import Conditions, Stepping
 from imr_torch.simulate.driving import TabulatedDriving
-from imr_torch.simulate.gas import polytropic_pressure
-from imr_torch.simulate.grids import Resolution
-from imr_torch.simulate.liquids import LIQUIDS, ConstantDensity
+from imr_torch.simulate.grids import Grid, Resolution
 from imr_torch.simulate.radial import NEARLY_SONIC
 from imr_torch.threads import cores
 
-COMMON = (NEWTONIAN, NEO_HOOKEAN, STIFFENING, MAXWELL)
+COMMON = (*MATERIALS["qkv"].terms, MATERIALS["maxwell"].terms[-1])
 """The stress terms whose laws are compiled into the engine."""
 _NO_DRIVING = TabulatedDriving((0.0, 1.0, 2.0), (0.0, 0.0, 0.0))
 
 
-def find_obstacle(bubbles: Bubbles) -> str | None:
-    """What keeps a batch from the compiled engine, in words.
-
-    None if nothing does. Laws that do not act are no obstacle.
-    """
-    conditions = bubbles.conditions
-    motion = conditions.motion
-    laws = [type(part).law for part in (motion, motion.liquid, conditions.gas)]
-    missing = [
-        *(law.__qualname__ for law in laws if obstacle_of(law) is not None),
-        *(part.name for part in (*bubbles.terms, *bubbles.effects) if not part.compilable),
-    ]
-    return f"{missing[0]} has no compiled form" if missing else None
-
-
 def registry_of(conditions: Conditions) -> Registry:
     """The common stress terms, the effects that have a compiled form, and the laws of a simulator's
-    conditions: all liquids, or that of constant density alone, which is compiled sooner.
+    conditions.
     """
-    own = type(conditions.motion.liquid).law
-    known = [type(liquid).law for liquid in LIQUIDS.values()]
+    motion = conditions.motion
     return Registry(
         terms=COMMON,
         effects=tuple(
             e for e in LIBRARY.values() if e.compilable and (e.gas_loss or e.vapour or e.far_field)
         ),
-        radial=(type(conditions.motion).law,),
-        liquids=(own,) if own is ConstantDensity.law else tuple(dict.fromkeys([*known, own])),
-        gases=tuple(dict.fromkeys([polytropic_pressure, type(conditions.gas).law])),
+        radial=type(motion).law,
+        liquid=type(motion.liquid).law,
+        gas=type(conditions.gas).law,
     )
 
 
@@ -173,14 +151,14 @@ def _solve_bundles(
         curves=np.empty((3, *times.shape)),
         status=np.empty(count, np.int64),
         steps=np.empty(count, np.int64),
+        setup=_setup_of(bubbles, others),
     )
-    arguments = (batch, _setup_of(bubbles, registry, others), settings)
     states = batch.terms @ np.array([term.states for term in terms])
 
     for number in np.unique(states):
         bundles = np.flatnonzero(states == number)
         sizes = (*work, int(number), width)
-        _share_out(module, entry, bundles, arguments, sizes, threads or cores())
+        _share_out(module, entry, bundles, (batch, settings), sizes, threads or cores())
     every = (torch.from_numpy(x).repeat_interleave(width) for x in (batch.status, batch.steps))
     return *torch.from_numpy(batch.curves).unbind(0), *every
 
@@ -215,20 +193,16 @@ def _memory_of(bubbles: Bubbles, terms: Sequence[StressTerm], acts: np.ndarray) 
     return np.take_along_axis(start, (~on).argsort(1, kind="stable"), 1)
 
 
-def _setup_of(bubbles: Bubbles, registry: Registry, others: tuple[StressTerm, ...]) -> Setup:
+def _setup_of(bubbles: Bubbles, others: tuple[StressTerm, ...]) -> Setup:
     """What all bubbles of a batch share."""
     conditions = bubbles.conditions
     motion = conditions.motion
     knots, cubics = (conditions.driving or _NO_DRIVING).pieces
     return Setup(
         bubbles.constants,
-        registry.radial.index(type(motion).law),
-        tuple(motion.form),
-        np.array([*motion.constants, 0.0]),
-        registry.liquids.index(type(motion.liquid).law),
-        np.array([*motion.liquid.constants, 0.0]),
+        tuple(map(float, (*motion.form, *motion.constants))),
+        tuple(map(float, motion.liquid.constants)),
         NEARLY_SONIC * motion.sonic,
-        registry.gases.index(type(conditions.gas).law),
         conditions.driving is not None,
         knots.numpy(),
         cubics.numpy(),
@@ -263,18 +237,17 @@ def _share_out(
     threads = min(threads, len(bundles))
     size = chunk if threads == 1 else max(1, min(chunk, len(bundles) // (shares * threads)))
     chunks = [bundles[first : first + size] for first in range(0, len(bundles), size)]
-    own = _own_arrays(*work, get_ident())
     function = getattr(module, entry)
     if not function.overloads:  # is compiled before threads begin
+        own = _own_arrays(*work, get_ident())
         call_announced(module, entry, (chunks.pop(0), *arguments, own))
-    if threads == 1 or len(chunks) == 1:
-        for part in chunks:
-            function(part, *arguments, own)
-    else:
-        for _ in _thread_pool(threads).map(
-            lambda part: function(part, *arguments, _own_arrays(*work, get_ident())), chunks
-        ):
-            pass
+
+    def solve_chunk(part: np.ndarray) -> None:
+        function(part, *arguments, _own_arrays(*work, get_ident()))
+
+    alone = threads == 1 or len(chunks) == 1
+    for _ in (map if alone else _thread_pool(threads).map)(solve_chunk, chunks):
+        pass
 
 
 @functools.cache
@@ -293,19 +266,22 @@ def _space_of(resolution: Resolution) -> step.Space:
     """The grids; read only."""
     inside, outside = resolution.grids()
 
-    def operators_of(grid: Any) -> np.ndarray:
+    def columns_of(matrix: Tensor) -> np.ndarray:
+        return pad_matrix(matrix.T.numpy())
+
+    def operators_of(grid: Grid) -> np.ndarray:
         parts = (grid.first[1:], grid.laplacian, grid.first[:1])
-        return pad_matrix(np.concatenate([pad_matrix(part.T.numpy()) for part in parts], 1))
+        return pad_matrix(np.concatenate([columns_of(part) for part in parts], 1))
 
     y = outside.nodes
     return step.Space(
         inside=operators_of(inside),
         outside=operators_of(outside),
-        first=pad_matrix(inside.first[1:, 1:].T.numpy()),
-        laplacian=pad_matrix(inside.laplacian[:, 1:].T.numpy()),
-        rows=pad_matrix(inside.first[1:, 1:].numpy()),
-        outer_first=pad_matrix(outside.first[1:, 1:].T.numpy()),
-        outer_laplacian=pad_matrix(outside.laplacian[:, 1:].T.numpy()),
+        first=columns_of(inside.first[1:, 1:]),
+        laplacian=columns_of(inside.laplacian[:, 1:]),
+        rows=columns_of(inside.first[1:, 1:].T),
+        outer_first=columns_of(outside.first[1:, 1:]),
+        outer_laplacian=columns_of(outside.laplacian[:, 1:]),
         y=inside.nodes.contiguous().numpy(),
         stretching=(y**-2 - y).numpy(),
         shear=(y**-6).numpy(),

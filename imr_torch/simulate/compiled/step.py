@@ -47,8 +47,7 @@ from imr_torch.simulate.contents import (
     wall_of,
     warm_profile,
 )
-from imr_torch.simulate.controller import REST
-from imr_torch.simulate.rosenbrock import COUPLING, MOMENTS, TIME_INCREMENTS
+from imr_torch.simulate.rosenbrock import COUPLING, MOMENTS, REST, TIME_INCREMENTS
 from imr_torch.simulate.rosenbrock import STAGES as ROWS
 
 from .wall import gas_loss, motion_slopes, move_wall, vapour_factor
@@ -125,9 +124,10 @@ class Work(NamedTuple):
         profile: ``3 x n``: conductivity, temperature and ``R_mix`` at the inner nodes.
         heat: ``n x (n+2)'``, the block of ``tau`` by columns, then its inverse, with two columns
             beside it; ``vapour`` and ``gel`` likewise with one: see :func:`factorise_system`.
-        edges: ``5 x fields``: derivatives of the fields' rates in (R, U, ln P, q, tau_w).
-        factors: ``9 x max(n', m')``: factors of slope, Laplacian and value in the rates of ``tau``,
-            ``C`` and ``theta`` at each node.
+        edges: ``5 x fields``: derivatives of the fields' rates in (R, U, ln P, q, tau_w); that of
+            ``theta`` in ``q`` stays 0.
+        factors: ``9 x max(n', m')``: factors of value, slope and Laplacian in the rates of ``tau``,
+            ``C`` and ``theta`` at each node; that of the value of ``theta`` stays 0.
         coupling: ``2 x n'``: how ``C_t`` hangs on the value and on the slope of ``tau``.
         functionals: ``2 x fields``: what the fields add to the rows of ``q`` and of the wall.
         border: ``(5+K) x (5+K)'``, the system that is left by columns, then its inverse.
@@ -207,13 +207,13 @@ def work_for(nodes: int, outer_nodes: int, states: int, width: int) -> Work:
 
 
 @kernel
-def point_at(state, space, work, member, setup):
+def point_at(state, space, work, member):
     """Temperatures, slopes and the pressure's rate at a state, into ``work``.
 
     Returns the point, and the relative loss of gas with its derivatives in ``R`` and ``U``.
     """
     b = member.b
-    c = setup.c
+    c = member.setup.c
     n = len(space.y)
     radius = state[0]
     velocity = state[1]
@@ -259,10 +259,10 @@ def node_at(i, space, work):
 
 
 @kernel
-def rates_at(point, acceleration, space, work, member, setup, out):
+def rates_at(point, acceleration, space, work, member, out):
     """``f(x)`` without the rates of memory."""
     b = member.b
-    c = setup.c
+    c = member.setup.c
     n = len(space.y)
     m = len(space.shear)
     vapours, gel, _ = locate_parts(space)
@@ -284,12 +284,12 @@ def gel_node_at(i, space, work):
 
 
 @kernel
-def field_slopes(point, space, work, member, setup):
+def field_slopes(point, space, work, member):
     """The derivatives of the fields' rates at each node, into ``work``: factors of the operators,
     and the border.
     """
     b = member.b
-    c = setup.c
+    c = member.setup.c
     n = len(space.y)
     m = len(space.shear)
     wall = point.wall
@@ -304,8 +304,8 @@ def field_slopes(point, space, work, member, setup):
     for i in range(n):
         node = node_at(i, space, work)
         s = node_slopes(node, point, b, c)
-        factors[0, i], factors[1, i], factors[2, i] = s.heat_first, s.heat_second, s.heat_self
-        factors[3, i], factors[4, i], factors[5, i] = s.vapour_first, s.vapour_second, s.vapour_self
+        for k in range(6):
+            factors[k, i] = s[k]
         heat_wall = s.heat_second * space.inside[0, bends + i] + s.heat_first * space.inside[0, i]
         vapour_wall = (
             s.vapour_second * space.inside[0, bends + i] + s.vapour_first * space.inside[0, i]
@@ -321,12 +321,12 @@ def field_slopes(point, space, work, member, setup):
         work.coupling[0, i], work.coupling[1, i] = s.coupling, s.coupling_slope
     for i in range(m):
         g = gel_slopes(gel_node_at(i, space, work), point, b, c)
-        factors[6, i], factors[7, i], factors[8, i] = g.first, g.second, 0.0
+        factors[7, i], factors[8, i] = g.first, g.second
         through = (
             g.second * space.outside[0, outer_bends + i] + g.first * space.outside[0, i]
         ) / wall.conductivity
         by_gel[0, i], by_gel[1, i], by_gel[2, i] = g.radius, g.velocity, pressure * g.pressure
-        by_gel[3, i], by_gel[4, i] = 0.0, g.wall + through
+        by_gel[4, i] = g.wall + through
 
 
 @kernel
@@ -334,9 +334,9 @@ def shift_operators(factors, first, laplacian, shift, out):
     """``out = shift - J`` of one field by columns, from the factors of value, slope and Laplacian
     at each node.
     """
-    by_slope = factors[0]
-    by_bend = factors[1]
-    by_value = factors[2]
+    by_value = factors[0]
+    by_slope = factors[1]
+    by_bend = factors[2]
     for j in range(len(out)):
         column = out[j]
         slope = first[j]
@@ -350,16 +350,16 @@ def shift_operators(factors, first, laplacian, shift, out):
 
 
 @partial(kernel, inline="source")
-def linearise_state(state, time, space, work, member, setup):
+def linearise_state(state, time, space, work, member):
     """``f(x)`` at a state (``work.rate``) and all its derivatives, into ``work``.
 
     Returns ``d ln P/dt``.
     """
     b = member.b
-    c = setup.c
+    c = member.setup.c
     memory = locate_parts(space)[2]
     states = work.moved.shape[1]
-    point, loss = point_at(state, space, work, member, setup)
+    point, loss = point_at(state, space, work, member)
     pressure = point.pressure
     log_rate = point.rate / pressure
     memory_rates = work.rate[memory : memory + states]
@@ -368,14 +368,13 @@ def linearise_state(state, time, space, work, member, setup):
         point,
         state[memory : memory + states],
         member,
-        setup,
         work.slopes,
         work.memory_slopes,
         work.moved,
         memory_rates,
     )
-    rates_at(point, acceleration, space, work, member, setup, work.rate)
-    field_slopes(point, space, work, member, setup)
+    rates_at(point, acceleration, space, work, member, work.rate)
+    field_slopes(point, space, work, member)
     s = work.slopes
     corner = space.inside[0, 2 * space.first.shape[1]]
     outer_corner = space.outside[0, 2 * space.outer_first.shape[1]]
@@ -525,7 +524,7 @@ def add_increments(weights, count, scale, increments, out):
 
 
 @partial(kernel, inline="source")
-def advance_state(state, time, h, space, work, member, setup, out):
+def advance_state(state, time, h, space, work, member, out):
     """One step of Rodas4P from a state whose rates and factors are in ``work``; ``out`` receives
     the new state.
 
@@ -545,7 +544,7 @@ def advance_state(state, time, h, space, work, member, setup, out):
             for i in range(size):
                 argument[i] = state[i]
             add_increments(_ARGUMENT[stage], stage, 1.0, increments, argument)
-            there, _ = point_at(argument, space, work, member, setup)
+            there, _ = point_at(argument, space, work, member)
             force = move_wall(
                 time + _MOMENTS[stage] * h,
                 there.radius,
@@ -555,9 +554,8 @@ def advance_state(state, time, h, space, work, member, setup, out):
                 argument[memory : memory + states],
                 right[memory : memory + states],
                 member,
-                setup,
             )
-            rates_at(there, force, space, work, member, setup, right)
+            rates_at(there, force, space, work, member, right)
             balance = right[3]
             add_increments(_COUPLING[stage], stage, 1.0 / h, increments, right)
             right[3] = balance  # tau_w is algebraic
@@ -568,14 +566,14 @@ def advance_state(state, time, h, space, work, member, setup, out):
 
 
 @kernel
-def write_start(space, member, setup, state):
+def write_start(space, member, state):
     """The state at time zero: the wall at the far temperature, vapour in equilibrium with it."""
     b, n, (vapours, _, memory) = member.b, len(space.y), locate_parts(space)
     state[:] = 0.0
     state[0], state[1], state[2] = 1.0, b.velocity, np.log(b.start)
     for i in range(n):
-        state[HEAD + i] = warm_profile(space.y[i], b.warmth, setup.c)
-    state[vapours : vapours + n] = wall_of(b.start, 1.0, 1.0, 0.0, b, setup.c).vapour
+        state[HEAD + i] = warm_profile(space.y[i], b.warmth, member.setup.c)
+    state[vapours : vapours + n] = wall_of(b.start, 1.0, 1.0, 0.0, b, member.setup.c).vapour
     for k in range(min(len(member.memory), len(state) - memory)):
         state[memory + k] = member.memory[k]
 

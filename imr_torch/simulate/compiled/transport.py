@@ -1,7 +1,7 @@
 """Bundles of bubbles with heat and vapour transport, integrated one after the other by compiled
 code.
 
-Step control and bundles as in the tensor engine (:mod:`~imr_torch.simulate.controller`,
+Step control and bundles as in the tensor engine (:mod:`~imr_torch.simulate.rosenbrock`,
 :mod:`~imr_torch.simulate.ode_method`), for one bubble at a time: no masks, no slots. A bundle is a
 loop over its members along the leader's steps (:mod:`imr_torch.simulate.compiled.step`).
 """
@@ -11,11 +11,18 @@ from functools import partial
 import numpy as np
 
 from imr_torch.elementary import kernel
-from imr_torch.simulate.controller import GROW, HEAT_WEIGHT, PATIENCE, SAFETY, SHRINK, UNDERFLOW
-from imr_torch.simulate.rosenbrock import GAMMA, ORDER
+from imr_torch.simulate.rosenbrock import (
+    GAMMA,
+    GROW,
+    HEAT_WEIGHT,
+    ORDER,
+    PATIENCE,
+    SAFETY,
+    SHRINK,
+    UNDERFLOW,
+)
 from imr_torch.simulate.simulator import RUNAWAY, Status
 
-from . import laws
 from .output import record_node
 from .step import (
     HEAD,
@@ -38,7 +45,7 @@ _UNDERFLOW = int(Status.STEP_UNDERFLOW)
 
 @kernel
 def scaled_error(before, after, error, space, tolerance):
-    """As :func:`imr_torch.simulate.controller.scaled_error`, of one bubble."""
+    """As :func:`imr_torch.simulate.rosenbrock.scaled_error`, of one bubble."""
     n, m, (vapours, gels, memory) = len(space.y), len(space.shear), locate_parts(space)
     radius = after[0]
     if not radius > 0.0:
@@ -67,7 +74,7 @@ def scaled_error(before, after, error, space, tolerance):
 
 
 @partial(kernel, inline="source")
-def solve_block(which, batch, setup, settings, work):
+def solve_block(which, batch, settings, work):
     """Integrate some bundles of a batch, one by one: a leader and its followers, which take its
     steps in proportion to their time scales.
 
@@ -76,7 +83,6 @@ def solve_block(which, batch, setup, settings, work):
     Args:
         which: numbers of the bundles.
         batch: the bubbles.
-        setup: what they share.
         settings: the grids; relative error of a step, attempted steps after which a bundle is given
             up, and length of the first step.
         work: arrays for the memory states that these bundles have.
@@ -100,7 +106,7 @@ def solve_block(which, batch, setup, settings, work):
             last = max(last, times[i, -1])
             curves[:, i] = np.nan
             member = member_of(batch, i)
-            write_start(space, member, setup, state[k])
+            write_start(space, member, state[k])
         h = first_step
         error = 0.0
         grow = True
@@ -128,7 +134,7 @@ def solve_block(which, batch, setup, settings, work):
                 i = leader + k
                 member = member_of(batch, i)
                 if recorded[k] < count:  # a state at which no step was tried yet
-                    log_rate = linearise_state(state[k], clock[k], space, work, member, setup)
+                    log_rate = linearise_state(state[k], clock[k], space, work, member)
                     node = (clock[k], state[k, 0], state[k, 1], work.rate[1], state[k, 2], log_rate)
                     filled[k] = record_node(
                         node, work.nodes[k], filled[k], recorded[k] > 0, times[i], curves[:, i]
@@ -138,7 +144,7 @@ def solve_block(which, batch, setup, settings, work):
                     continue
                 length = h if k == 0 else h * (time_scale_of(state[k]) / paced)
                 factorise_system(1.0 / (GAMMA * length), space, work)
-                advance_state(state[k], clock[k], length, space, work, member, setup, fresh[k])
+                advance_state(state[k], clock[k], length, space, work, member, fresh[k])
                 if k == 0:
                     change = work.increments[STAGES - 1]
                     error = scaled_error(state[0], fresh[0], change, space, tolerance)
@@ -161,10 +167,10 @@ def solve_block(which, batch, setup, settings, work):
             h *= factor if grow or factor < 1.0 else 1.0
             grow = accepted
         for i in range(leader, leader + width):
-            beside = laws.numbers(batch.numbers[i]).constant_vapour
+            beside = member_of(batch, i).b.constant_vapour
             for j in range(times.shape[1]):
                 curves[2, i, j] += beside
         if ended != _DONE:
-            ended = name_sonic(ended, state[0, 1], member_of(batch, leader), setup)
+            ended = name_sonic(ended, state[0, 1], member_of(batch, leader))
         batch.status[bundle] = ended
         batch.steps[bundle] = own

@@ -31,10 +31,9 @@ class Setup(NamedTuple):
 
     Args:
         c: constants of the contents.
-        motion: number of the law of the radial equation, its ``form``, and ``motion_constants``.
-        liquid: number of the liquid, and ``liquid_constants``.
+        motion: form and constants of the radial equation.
+        liquid: constants of its liquid.
         sonic: Mach number at which the radial equation is nearly singular.
-        gas: number of the gas law.
         driven: whether there is a driving; ``knots`` and ``cubics`` are its table, ``scale`` is
             ``1/p_inf``.
         others: stress laws that the engine does not hold, see
@@ -42,13 +41,9 @@ class Setup(NamedTuple):
     """
 
     c: Constants
-    motion: int
-    form: tuple[float, ...]
-    motion_constants: np.ndarray
-    liquid: int
-    liquid_constants: np.ndarray
+    motion: tuple[float, ...]
+    liquid: tuple[float, ...]
     sonic: float
-    gas: int
     driven: bool
     knots: np.ndarray
     cubics: np.ndarray
@@ -72,6 +67,7 @@ class Batch(NamedTuple):
             get.
         status: of each bundle, receives its leader's status.
         steps: of each bundle, receives the steps that its leader took to its own last time.
+        setup: what all share.
     """
 
     width: int
@@ -85,6 +81,7 @@ class Batch(NamedTuple):
     curves: np.ndarray
     status: np.ndarray
     steps: np.ndarray
+    setup: Setup
 
 
 class Member(NamedTuple):
@@ -97,6 +94,7 @@ class Member(NamedTuple):
         memory: what its memory starts from.
         effects: which effects act.
         affected: whether any does.
+        setup: what the batch shares.
     """
 
     b: Numbers
@@ -105,6 +103,7 @@ class Member(NamedTuple):
     memory: np.ndarray
     effects: np.ndarray
     affected: bool
+    setup: Setup
 
 
 @kernel
@@ -117,21 +116,21 @@ def member_of(batch, i):
         affected |= acts
     numbers = laws.numbers(batch.numbers[i])
     terms = batch.terms[bundle]
-    return Member(numbers, batch.theta[i], terms, batch.memory[i], effects, affected)
+    return Member(numbers, batch.theta[i], terms, batch.memory[i], effects, affected, batch.setup)
 
 
 @kernel
-def far_field(time, member, setup):
+def far_field(time, member):
     """Far-field pressure and its first two time derivatives."""
     value = member.b.far
     rate = 0.0
     bend = 0.0
-    if setup.driven:
+    if member.setup.driven:
         seconds = member.b.seconds
-        v, r, a = evaluate_spline(time * seconds, setup.knots, setup.cubics)
-        value += v * setup.scale
-        rate += r * seconds * setup.scale
-        bend += a * seconds * seconds * setup.scale
+        v, r, a = evaluate_spline(time * seconds, member.setup.knots, member.setup.cubics)
+        value += v * member.setup.scale
+        rate += r * seconds * member.setup.scale
+        bend += a * seconds * seconds * member.setup.scale
     if member.affected:
         v, r, a = laws.far_field(time, member.effects, member.theta)
         value += v
@@ -141,40 +140,40 @@ def far_field(time, member, setup):
 
 
 @kernel
-def accelerate_wall(radius, velocity, pressure, rate, stress, far, far_rate, member, setup):
+def accelerate_wall(radius, velocity, pressure, rate, stress, far, far_rate, member):
     """``U'`` from the contents' pressure and its rate, the gel's stress and the far field.
 
     All real or all complex.
     """
     b = member.b
     arguments = radial_arguments(
-        radius, velocity, pressure, rate, stress, far, far_rate, b, setup.c
+        radius, velocity, pressure, rate, stress, far, far_rate, b, member.setup.c
     )
-    near = laws.liquid(setup.liquid, arguments[2], arguments[7], setup.liquid_constants)
-    away = laws.liquid(setup.liquid, arguments[5], arguments[7], setup.liquid_constants)
-    drive = drive_wall(arguments, near, away) + setup.form
-    return laws.radial(setup.motion, *drive, setup.motion_constants) * b.pace * b.pace
+    near = laws.liquid(arguments[2], arguments[7], *member.setup.liquid)
+    away = laws.liquid(arguments[5], arguments[7], *member.setup.liquid)
+    drive = drive_wall(arguments, near, away)
+    return laws.radial(*drive, *member.setup.motion) * b.pace * b.pace
 
 
 @kernel
-def stress_of(radius, velocity, memory, memory_rates, member, setup):
+def stress_of(radius, velocity, memory, memory_rates, member):
     """The gel's stress; writes the rates of memory."""
     b, on, theta = member.b, member.terms, member.theta
     return laws.stress(
-        radius, velocity, b.rest_radius, on, theta, memory, memory_rates, setup.others
+        radius, velocity, b.rest_radius, on, theta, memory, memory_rates, member.setup.others
     )
 
 
 @kernel
-def move_wall(time, radius, velocity, pressure, rate, memory, memory_rates, member, setup):
+def move_wall(time, radius, velocity, pressure, rate, memory, memory_rates, member):
     """``U'``; writes the rates of memory."""
-    far, far_rate, _ = far_field(time, member, setup)
-    stress = stress_of(radius, velocity, memory, memory_rates, member, setup)
-    return accelerate_wall(radius, velocity, pressure, rate, stress, far, far_rate, member, setup)
+    far, far_rate, _ = far_field(time, member)
+    stress = stress_of(radius, velocity, memory, memory_rates, member)
+    return accelerate_wall(radius, velocity, pressure, rate, stress, far, far_rate, member)
 
 
 @partial(kernel, inline="never")
-def motion_slopes(time, point, memory, member, setup, slopes, memory_slopes, spare, memory_rates):
+def motion_slopes(time, point, memory, member, slopes, memory_slopes, spare, memory_rates):
     """``U'`` and its derivatives, and those of the rates of memory.
 
     Args:
@@ -182,14 +181,13 @@ def motion_slopes(time, point, memory, member, setup, slopes, memory_slopes, spa
         point: what holds at the state (:class:`imr_torch.simulate.contents.Point`).
         memory: ``K`` memory states.
         member: the bubble.
-        setup: what the batch shares.
         slopes: ``5 + K``; receives the derivatives of ``U'`` in (R, U, P, dP/dt, t) and in memory.
         memory_slopes: ``(2 + K) x K``; receives those of the rates of memory in (R, U, memory), by
             rows.
         spare: ``2 x K`` complex numbers to spare.
         memory_rates: ``K``; receives the rates of memory.
     """
-    far, far_rate, far_bend = far_field(time, member, setup)
+    far, far_rate, far_bend = far_field(time, member)
     states = len(memory)
     moved = spare[0]
     rates = spare[1]
@@ -220,7 +218,7 @@ def motion_slopes(time, point, memory, member, setup, slopes, memory_slopes, spa
         else:
             moved[direction - 5] += imaginary
         if direction < 2 or direction >= 5:  # the gel feels R, U and its memory
-            stress = stress_of(r, u, moved, rates, member, setup)
+            stress = stress_of(r, u, moved, rates, member)
             row = direction if direction < 2 else direction - 3
             for k in range(states):
                 memory_slopes[row, k] = rates[k].imag / TINY
@@ -231,7 +229,7 @@ def motion_slopes(time, point, memory, member, setup, slopes, memory_slopes, spa
                 stress[1].real + nothing,
                 stress[2].real + nothing,
             )
-        force = accelerate_wall(r, u, p, q, stress, f, g, member, setup)
+        force = accelerate_wall(r, u, p, q, stress, f, g, member)
         slopes[direction] = force.imag / TINY
         if direction >= 5:
             moved[direction - 5] = memory[direction - 5]
@@ -239,9 +237,9 @@ def motion_slopes(time, point, memory, member, setup, slopes, memory_slopes, spa
 
 
 @kernel
-def name_sonic(status, velocity, member, setup):
+def name_sonic(status, velocity, member):
     """As :func:`imr_torch.simulate.wall.name_sonic`, of a bubble that failed."""
-    return _SONIC if velocity * member.b.slowness > setup.sonic else status
+    return _SONIC if velocity * member.b.slowness > member.setup.sonic else status
 
 
 @kernel
