@@ -33,6 +33,7 @@ from imr_torch.design import (
 )
 from imr_torch.design.likelihood import Data, infer_linear
 from imr_torch.design.response import Shot, simulate_response
+from imr_torch.float64 import eye, tensor, zeros
 from imr_torch.material import CASES, PARAMETERS, Belief, Cloud, ReferenceCase, reference_case
 from imr_torch.observe import Experiment, SimulatedLaboratory
 from imr_torch.random import child, generator
@@ -72,7 +73,7 @@ def run_campaign(case: ReferenceCase, seed: int, designs: int, simulator: Simula
     low, high = DesignSpace().bounds
     unit = torch.rand(200, designs, 2, generator=generator(child(seed, "random")))
     at_random = torch.tensor([best.efficiency(rows) for rows in low + (high - low) * unit])
-    shot = torch.tensor([e.design for e in campaign.experiments], dtype=torch.float64)
+    shot = tensor([e.design for e in campaign.experiments])
     parts = [step.belief[case.truth_model] for step in campaign.steps]
     bounds = bound_errors(case, shot, simulator)
     ratios = [
@@ -100,7 +101,7 @@ def hindsight_measure(campaign: Campaign, options: MeasureOptions) -> DesignMeas
             it.
         options: of the measure.
     """
-    levels = torch.special.ndtr(torch.tensor(Cloud.SCORES, dtype=torch.float64))
+    levels = torch.special.ndtr(tensor(Cloud.SCORES))
     source = generator(child(campaign.seed, "hindsight"))
     parts = []
     for part in campaign.belief.models:
@@ -124,8 +125,8 @@ def bound_errors(case: ReferenceCase, designs: Tensor, simulator: Simulator) -> 
     the true model at the true gel: ``E x d``.
     """
     part = case.prior[case.truth_model]
-    true = torch.tensor([case.truth[name] for name in part.names], dtype=torch.float64)
-    belief = Belief((part,), torch.zeros(1, dtype=torch.float64))
+    true = tensor([case.truth[name] for name in part.names])
+    belief = Belief((part,), zeros(1))
     gel = part.to_controls(true)[None]
     chols = []
     for design in designs.split(1):
@@ -135,7 +136,7 @@ def bound_errors(case: ReferenceCase, designs: Tensor, simulator: Simulator) -> 
             infer_linear(Data(seen.radius, PLAN.frames_in_window(seen.radius)), seen, PLAN).chol[0]
         )
     known = torch.stack(chols)
-    prior = torch.eye(len(part.names), dtype=torch.float64)
+    prior = eye(len(part.names))
     known = prior + (known @ known.mT - prior).cumsum(0)
     return torch.linalg.inv(known).diagonal(dim1=-2, dim2=-1).sqrt()
 

@@ -35,6 +35,7 @@ from imr_torch.design import (
     expected_information_gain,
     search_design,
 )
+from imr_torch.float64 import tensor
 from imr_torch.material import reference_case
 from imr_torch.random import child
 from imr_torch.simulate import (
@@ -92,7 +93,7 @@ def estimate_surface(
         ).value
         for i, X in enumerate(points)
     ]
-    return torch.tensor(values, dtype=torch.float64)
+    return tensor(values)
 
 
 def rank_designs(repeats: int) -> Line:
@@ -111,7 +112,7 @@ def rank_designs(repeats: int) -> Line:
             loss = float(truth.max() - truth[values.argmax()])
             found.append((float(spearmanr(values, truth)[0]), loss))
         cpu = (time.process_time() - started) / seeds / len(points)
-        means = torch.tensor(found, dtype=torch.float64).mean(0).tolist()
+        means = tensor(found).mean(0).tolist()
         rows.append((repr(estimator), common, *means, cpu))
     return {"head": ("estimator", "common draws", "Spearman", "loss", "CPU a design"), "rows": rows}
 
@@ -165,7 +166,7 @@ def compare_coarse_bubbles(case: str) -> Line:
     simulator = TransportSimulator(accuracy=ACCURACIES["search"], threads=1)
     rows = []
     for design in DESIGNS[::2]:
-        X = torch.tensor([design], dtype=torch.float64)
+        X = tensor([design])
         fine, coarse = (
             expected_information_gain(
                 reference_case(case).prior, X, s, PLANS[1], estimator=Laplace(draws=32), seed=1
@@ -215,7 +216,7 @@ def bound_model_gain(design: tuple[float, float]) -> Line:
     """The gain about the model at one design by each estimator, as ``[value, error]`` in nats."""
     simulator = TransportSimulator(accuracy=ACCURACIES["search"], threads=1)
     recalled = Recalled(simulator)
-    X = torch.tensor([design], dtype=torch.float64)
+    X = tensor([design])
     line: Line = {"design": design}
     for name, estimator, seeds, used in (
         ("nested", NestedMonteCarlo(600, 15000), 1, recalled),

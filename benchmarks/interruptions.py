@@ -2,14 +2,13 @@
 uninterrupted one, byte for byte?
 
   python -m benchmarks.interruptions [--data CSV] [--experiments a,b,c] [--goal gel]
-      [--every 1] [--random 40]
+      [--every 1]
 
 Commands of a real campaign (what to shoot first; then a curve told at a time) run in processes of
 their own, which are
 - killed (SIGKILL) before and in the middle of every operation on the journal, its curves and the
   result: writes of half the bytes, flushes, renames, truncations, removals;
-- given a full disk from every write on, or at one flush;
-- killed, or interrupted (SIGINT), at random times.
+- given a full disk from every write on, or at one flush.
 The command is then repeated as a user would: the same line with --resume, and without --tell if the
     answer is that the curve is
 known. The journal must be that of the uninterrupted command, and no temporary file may be left.
@@ -20,13 +19,11 @@ import argparse
 import contextlib
 import errno
 import os
-import random
 import shlex
 import shutil
 import signal
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -173,25 +170,15 @@ class Ended:
     operations: int
 
 
-def forked(
-    work: Callable[[], int],
-    disk: Disk | None = None,
-    *,
-    after: float = 0.0,
-    signum: int = signal.SIGKILL,
-) -> Ended:
-    """Run ``work`` in a process of its own, on a disk that may fail, or sent a signal after some
-    seconds.
-    """
+def forked(work: Callable[[], int], disk: Disk | None = None) -> Ended:
+    """Run ``work`` in a process of its own, on a disk that may fail."""
     with tempfile.TemporaryDirectory() as folder:
         said = Path(folder) / "stderr"
         counted = Path(folder) / "operations"
-        started = time.monotonic()
         child = os.fork()
         if child == 0:
             code = 70
             try:
-                signal.signal(signal.SIGINT, signal.default_int_handler)
                 with (
                     said.open("w") as stream,
                     contextlib.redirect_stderr(stream),
@@ -210,16 +197,7 @@ def forked(
                     f"{said.read_text() if said.exists() else ''}{type(error).__name__}: {error}"
                 )
             os._exit(code)
-        status = None
-        while status is None:
-            ended, found = os.waitpid(child, os.WNOHANG if after else 0)
-            if ended:
-                status = found
-            elif time.monotonic() - started > after:
-                os.kill(child, signum)
-                _, status = os.waitpid(child, 0)
-            else:
-                time.sleep(0.002)
+        _, status = os.waitpid(child, 0)
         done = int(counted.read_text()) if counted.exists() else -1
         return Ended(
             os.waitstatus_to_exitcode(status), said.read_text() if said.exists() else "", done
@@ -262,7 +240,6 @@ class RealCampaign:
         self.folder = folder
         self.curves = curves
         self.options = options
-        self.seconds: list[float] = []
 
     def arguments(self, out: Path, number: int, *, resume: bool, tell: bool = True) -> list[str]:
         """Command ``number``: 0 asks, n tells the n-th curve."""
@@ -303,9 +280,7 @@ class RealCampaign:
         for number in range(len(self.curves) + 1):
             if number:
                 shutil.copytree(self.whole(number - 1), self.whole(number))
-            started = time.monotonic()
             ended = forked(self.work(self.whole(number), number, resume=number > 0))
-            self.seconds.append(time.monotonic() - started)
             if ended.code != 0:
                 raise SystemExit(
                     f"The uninterrupted command {number} ended with {ended.code}: {ended.said}"
@@ -313,7 +288,7 @@ class RealCampaign:
             counts.append(ended.operations)
         return counts
 
-    def interrupt(self, number: int, disk: Disk | None, **when: Any) -> tuple[Ended, str | None]:
+    def interrupt(self, number: int, disk: Disk) -> tuple[Ended, str | None]:
         """Interrupt command ``number`` and repeat it.
 
         Returns how it ended, and the problem if there is one.
@@ -322,7 +297,7 @@ class RealCampaign:
         shutil.rmtree(out, ignore_errors=True)
         if number:
             shutil.copytree(self.whole(number - 1), out)
-        ended = forked(self.work(out, number, resume=number > 0), disk, **when)
+        ended = forked(self.work(out, number, resume=number > 0), disk)
         journal = out / "journal.jsonl"
         begun = journal.exists() and b"\n" in journal.read_bytes()
         again = forked(self.work(out, number, resume=begun))
@@ -352,35 +327,20 @@ def count_same(found: Problems) -> str:
     return ", ".join(f"{name} {rows.count(None)} of {len(rows)}" for name, rows in found.items())
 
 
-def interrupt_all(real: RealCampaign, every: int, randoms: int) -> Problems:
-    """Interruptions of all commands: at every so many operations (0 for none), and so many at
-    random.
-    """
+def interrupt_all(real: RealCampaign, every: int) -> Problems:
+    """Interruptions of all commands, at every so many operations."""
     killed, full = "killed at a disk operation", "full disk"
     found: Problems = {killed: [], full: []}
     counts = real.prepare()
     print(f"disk operations of each command {counts}", flush=True)
     for number, count in enumerate(counts):
-        for at in range(1, count + 1, every) if every else ():
+        for at in range(1, count + 1, every):
             ended, problem = real.interrupt(number, Disk(at, "kill"))
             found[killed].append(problem or _expect(ended, ended.code == -signal.SIGKILL))
             ended, problem = real.interrupt(number, Disk(at, "full"))
             plain = ended.code in (0, 1) and "Traceback" not in ended.said
             found[full].append(problem or _expect(ended, plain and ended.said.count("\n") <= 1))
         print(f"command {number}: {count_same(found)}", flush=True)
-    source = random.Random(0)
-    for name, signum in randoms * (
-        ("killed at random", signal.SIGKILL),
-        ("Ctrl-C at random", signal.SIGINT),
-    ):
-        number = source.randrange(len(counts))
-        after = 0.05 + source.random() * real.seconds[number]
-        ended, problem = real.interrupt(number, None, after=after, signum=signum)
-        if ended.code == 0 and problem is None:  # it had finished before
-            continue
-        plain = ended.code in (0, 130) and ended.said.count("\n") <= 1
-        wrong = problem or _expect(ended, signum == signal.SIGKILL or plain)
-        found.setdefault(name, []).append(wrong)
     return found
 
 
@@ -399,19 +359,13 @@ def start() -> None:
         "--goal", choices=("gel", *GOALS), default="gel", help="of the campaign (default gel)"
     )
     parser.add_argument(
-        "--every",
-        type=int,
-        default=1,
-        help="operations from one that is failed to the next, 0 for none",
-    )
-    parser.add_argument(
-        "--random", type=int, default=40, help="attempts to interrupt at random times, of each kind"
+        "--every", type=int, default=1, help="operations from one that is failed to the next"
     )
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         curves = split(args.data, args.experiments.split(","), Path(folder))
         real = RealCampaign(Path(folder), curves, [*OPTIONS, *GOALS.get(args.goal, [])])
-        found = interrupt_all(real, args.every, args.random)
+        found = interrupt_all(real, args.every)
     print(f"resumed to the same journal: {count_same(found)}")
     for name, problems in found.items():
         for problem in filter(None, problems):

@@ -34,6 +34,7 @@ from imr_torch.characterization import medium_of
 from imr_torch.characterization.saved import SavedCharacterization
 from imr_torch.characterization.shared import SharedParameter, infer_shared
 from imr_torch.files import write_json
+from imr_torch.float64 import linspace, randn, tensor
 from imr_torch.material import PARAMETERS, Belief, LogNormal
 from imr_torch.observe import Experiment, ExperimentBatch, RadiusTrace, TraceSet, prepare
 from imr_torch.random import generator
@@ -182,20 +183,20 @@ def simulate_laboratory(truth: str, number: int) -> Line:
     """Three gels of one laboratory, inferred alone and together."""
     source = generator(number)
     simulator = PolytropicSimulator(threads=1)
-    times = torch.linspace(0.0, 2.6, 66, dtype=torch.float64)
+    times = linspace(0.0, 2.6, 66)
     results, gels = [], []
     given = TRUTHS[truth]
     for place, drag in enumerate(given if isinstance(given, tuple) else (given,) * 3):
-        draw = torch.randn(2, generator=source, dtype=torch.float64)
+        draw = randn(2, generator=source)
         gel = {
             "G": 5e3 * math.exp(0.5 * float(draw[0])),
             "mu": 0.1 * math.exp(0.3 * float(draw[1])),
         }
         size = 150e-6 * 1.4**place
         medium = Surroundings()
-        design = torch.tensor([medium.weber(size), 0.2], dtype=torch.float64)
+        design = tensor([medium.weber(size), 0.2])
         bubble = simulator(PARAMETERS.pack(gel | {DRAG: drag}), design, times)
-        noise = 0.004 * torch.randn(len(times), generator=source, dtype=torch.float64)
+        noise = 0.004 * randn(len(times), generator=source)
         radius = size * (bubble.radius + noise)
         trace = RadiusTrace("shot", times * medium.time_scale(size), radius, f"gel {place}")
         found = characterize(

@@ -1,16 +1,15 @@
 """How the cost of a characterisation grows with the number of shots: process CPU time, and the same
 in full-physics bubbles, whose cost is measured in the same run.
 
-  python -m benchmarks.many_shots OUT.jsonl [--shots 4,20] [--frames 60] [--curves FILE.csv]
+  python -m benchmarks.many_shots OUT.jsonl [--shots 4,20] [--frames 60]
 
 Curves are simulated in full physics with the gel of soft PA, Rmax from 150 to 400 um and R_inf/Rmax
-from .16 to .26, with .003 in R* of noise, unless a file of measured curves is given, of which the
-first ones are taken. The model is NHKV with the wide prior, everything else as by default.
+from .16 to .26, with .003 in R* of noise. The model is NHKV with the wide prior, all else as by
+default.
 """
 
 import argparse
 import time
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -18,7 +17,8 @@ import torch
 
 from benchmarks.records import Line, run_missing_jobs, write_table
 from benchmarks.solver import TIMES, draws, seconds_of
-from imr_torch import characterize, load_traces, wide_prior
+from imr_torch import characterize, wide_prior
+from imr_torch.float64 import linspace, rand, randn, tensor
 from imr_torch.material import PARAMETERS, reference_case
 from imr_torch.observe import RadiusTrace, TraceSet
 from imr_torch.simulate import TransportSimulator
@@ -34,27 +34,22 @@ def simulate_curves(shots: int, frames: int) -> TraceSet:
     source = torch.Generator().manual_seed(shots)
     simulator, surroundings = TransportSimulator(), Surroundings()
     gel = PARAMETERS.pack(reference_case("soft-pa").truth)
-    times = torch.linspace(0.0, 4.0, frames, dtype=torch.float64)
-    unit = torch.rand(shots, 2, generator=source, dtype=torch.float64)
+    times = linspace(0.0, 4.0, frames)
+    unit = rand(shots, 2, generator=source)
     sizes, stretches = 150e-6 + 250e-6 * unit[:, 0], 0.16 + 0.1 * unit[:, 1]
     traces = []
     for number, (size, stretch) in enumerate(zip(sizes.tolist(), stretches.tolist(), strict=True)):
-        design = torch.tensor([surroundings.weber(size), stretch], dtype=torch.float64)
+        design = tensor([surroundings.weber(size), stretch])
         radius = simulator(gel, design, times).radius
-        radius = radius + NOISE * torch.randn(frames, generator=source, dtype=torch.float64)
+        radius = radius + NOISE * randn(frames, generator=source)
         seconds = times * surroundings.time_scale(size)
         traces.append(RadiusTrace(f"shot {number}", seconds, size * radius, "simulated"))
     return TraceSet(tuple(traces))
 
 
-def load_curves(shots: int, file: Path) -> TraceSet:
-    """The first measured curves of a file."""
-    return TraceSet(tuple(load_traces(file))[:shots])
-
-
-def measure_cost(traces: Callable[[], TraceSet], medium: str | None) -> Line:
+def measure_cost(shots: int, frames: int) -> Line:
     """CPU of one characterisation, and that of a bubble before and after it."""
-    curves = traces()
+    curves = simulate_curves(shots, frames)
     simulator = TransportSimulator()
     seeds = iter(range(8))
 
@@ -63,12 +58,12 @@ def measure_cost(traces: Callable[[], TraceSet], medium: str | None) -> Line:
 
     before = seconds_of(make_bubbles, 2)
     started = time.process_time()
-    result = characterize(curves, prior=wide_prior(["nhkv"]), simulator=simulator, medium=medium)
+    result = characterize(curves, prior=wide_prior(["nhkv"]), simulator=simulator, medium=UNSTATED)
     spent = time.process_time() - started
     bubble = 0.5 * (before + seconds_of(make_bubbles, 2)) / BUBBLES
     fit = result.assimilation.fits[0]
     return {
-        "shots": len(curves),
+        "shots": shots,
         "fitted_frames": int(result.assimilation.batch.mask.sum()),
         "cpu": spent,
         "bubble_ms": 1e3 * bubble,
@@ -86,16 +81,11 @@ def main() -> None:
     parser.add_argument("out", type=Path, metavar="OUT.jsonl")
     parser.add_argument("--shots", default="4,20", help="comma-separated")
     parser.add_argument("--frames", type=int, default=60, help="of each simulated curve")
-    parser.add_argument("--curves", type=Path, metavar="FILE.csv", help="measured curves")
     args = parser.parse_args()
     torch.set_num_threads(1)
-    if args.curves:
-        what, medium, load = args.curves.stem, None, partial(load_curves, file=args.curves)
-    else:
-        what, medium = f"{args.frames} frames", UNSTATED
-        load = partial(simulate_curves, frames=args.frames)
+    what = f"{args.frames} frames"
     jobs = {
-        f"{what}/{shots}": partial(measure_cost, partial(load, shots), medium)
+        f"{what}/{shots}": partial(measure_cost, shots, args.frames)
         for shots in map(int, args.shots.split(","))
     }
     lines = run_missing_jobs(args.out, jobs)

@@ -14,11 +14,10 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
-import torch
-
 from benchmarks.pyimr_process import FULL, OUTER, PHYSICS, Peer
 from imr_torch import characterize, example_gel, load_traces, wide_prior
 from imr_torch.assimilate import SearchOptions, assimilate
+from imr_torch.float64 import tensor
 from imr_torch.observe import ExperimentBatch, Noise, Nuisance
 from imr_torch.observe.experiments import Experiment
 from imr_torch.simulate import Simulator, TransportSimulator
@@ -104,5 +103,5 @@ def fit_by_peer(
     if "error" in answer:
         return None, answer["cpu"]
     pairs = zip(BOUNDS, answer["log_values"], answer["log_sds"], strict=True)
-    steps = torch.tensor([-1.6449, 0.0, 1.6449], dtype=torch.float64)
+    steps = tensor([-1.6449, 0.0, 1.6449])
     return {name: (middle + sd * steps).exp().tolist() for name, middle, sd in pairs}, answer["cpu"]

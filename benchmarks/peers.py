@@ -40,6 +40,7 @@ from benchmarks.pyimr_process import (
     Peer,
 )
 from imr_torch.elementary import Scalar
+from imr_torch.float64 import tensor, zeros
 from imr_torch.material import PARAMETERS
 from imr_torch.simulate import (
     ACCURACIES,
@@ -78,7 +79,7 @@ def draw_bubbles(count: int, seed: int) -> Bubbles:
 
 def solve_here(simulator: Simulator, bubbles: Bubbles) -> np.ndarray:
     """By this package."""
-    _, rest, modulus, viscosity = torch.tensor(bubbles, dtype=torch.float64).unbind(1)
+    _, rest, modulus, viscosity = tensor(bubbles).unbind(1)
     designs = torch.stack((torch.full_like(rest, 400.0), rest / SIZE), 1)
     gels = PARAMETERS.pack({"G": modulus, "mu": viscosity})
     return simulator(gels, designs, torch.from_numpy(TIMES)).radius.numpy()
@@ -127,8 +128,8 @@ def solve_scipy(bubbles: Bubbles, rtol: float) -> np.ndarray:
 
 def solve_torchdiffeq(bubbles: Bubbles) -> np.ndarray:
     """All together, with one adaptive step."""
-    columns = torch.tensor(bubbles, dtype=torch.float64).unbind(1)
-    start = torch.zeros(2, len(bubbles), dtype=torch.float64)
+    columns = tensor(bubbles).unbind(1)
+    start = zeros(2, len(bubbles))
     start[0] = 1.0
     path = odeint(
         lambda _, y: torch.stack(keller_miksis(y, columns)),
@@ -255,10 +256,8 @@ def compare_fluids(peer: Peer, bubbles: Bubbles) -> list[dict[str, Any]]:
     }
     rows = []
     for name, (law, theirs, ours) in fluids.items():
-        gels = PARAMETERS.pack(
-            {"mu": torch.tensor(bubbles, dtype=torch.float64)[:, 3], "retardation": 0.2, **ours}
-        )
-        rest = torch.tensor(bubbles, dtype=torch.float64)[:, 1] / SIZE
+        gels = PARAMETERS.pack({"mu": tensor(bubbles)[:, 3], "retardation": 0.2, **ours})
+        rest = tensor(bubbles)[:, 1] / SIZE
         designs = torch.stack((torch.full_like(rest, 400.0), rest), 1)
         fine = PolytropicSimulator(POLYTROPIC, Stepping(0.03, max_steps=10**5), threads=1)
         radius = fine(gels, designs, torch.from_numpy(TIMES)).radius.numpy()

@@ -25,6 +25,7 @@ from benchmarks.records import Figure, Line, run_missing_jobs, write_figures
 from imr_torch import PolytropicSimulator
 from imr_torch.assimilate import SearchOptions
 from imr_torch.errors import ImrError
+from imr_torch.float64 import rand, randn, tensor
 from imr_torch.material import PARAMETERS, Belief, LogNormal
 from imr_torch.observe import Experiment, Noise, Nuisance, SimulatedLaboratory
 from imr_torch.population import SCALE, Population, fit_shots, infer_population
@@ -45,18 +46,18 @@ def simulate_population(
     source = generator(child(seed, "truth", number))
     count = 4 + int(torch.randint(7, (), generator=source))
     draws = (
-        torch.randn(2, generator=source, dtype=torch.float64),
-        torch.randn(2, generator=source, dtype=torch.float64).abs(),
+        randn(2, generator=source),
+        randn(2, generator=source).abs(),
     )
     median = PRIOR.physical(draws[0]).log()
     scatter = {"prior": SCALE * draws[1], "none": torch.zeros(2).double()}.get(kind)
     if scatter is None:
-        scatter = torch.tensor([float(kind), 0.0], dtype=torch.float64)
+        scatter = tensor([float(kind), 0.0])
     gels = []
     shots = []
     while len(shots) < count:
-        gel = (median + scatter * torch.randn(2, generator=source, dtype=torch.float64)).exp()
-        place = torch.rand(2, generator=source, dtype=torch.float64)
+        gel = (median + scatter * randn(2, generator=source)).exp()
+        place = rand(2, generator=source)
         design = torch.stack((250.0 + 350.0 * place[0], 0.18 + 0.10 * place[1]))
         truth = PARAMETERS.pack(dict(zip(NAMES, gel.tolist(), strict=True)))
         laboratory = SimulatedLaboratory(
@@ -100,9 +101,7 @@ def judge_population(found: Population, truth: dict[str, Any]) -> dict[str, Any]
 def _ranks(found: Population, name: str, truth: dict[str, Any]) -> tuple[float, float]:
     """Posterior probability that median and scatter are below the truth."""
     column = NAMES.index(name)
-    control = PRIOR.marginals[column].to_control(
-        torch.tensor(truth["median"][column], dtype=torch.float64)
-    )
+    control = PRIOR.marginals[column].to_control(tensor(truth["median"][column]))
     below = found.found.centre[:, column] < control
     small = found.found.scatter[:, column] * found.units[column] < truth["scatter"][column]
     return tuple(

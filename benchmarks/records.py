@@ -24,6 +24,7 @@ from scipy.stats import binom, binomtest
 
 import imr_torch
 from imr_torch.errors import ImrError
+from imr_torch.float64 import tensor
 from imr_torch.simulate import process_pool
 
 Line = dict[str, Any]
@@ -207,7 +208,7 @@ class Figure:
         ordered = sorted(values)
         count = len(values)
         places = (min(int(binom.ppf(p, count, level)), count - 1) for p in (0.05, 0.95))
-        value = float(torch.tensor(ordered, dtype=torch.float64).quantile(level))
+        value = float(tensor(ordered).quantile(level))
         return cls(name, value, count, *(ordered[place] for place in places), must)
 
     @property

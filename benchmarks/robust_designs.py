@@ -30,6 +30,7 @@ from imr_torch.design import (
     search_design,
 )
 from imr_torch.errors import ConvergenceError
+from imr_torch.float64 import rand, randn, tensor
 from imr_torch.material import PARAMETERS, library, reference_case
 from imr_torch.material.belief import even_belief
 from imr_torch.observe import ExperimentBatch, Nuisance, SimulatedLaboratory
@@ -42,7 +43,7 @@ PLAN = Plan(repeats=1, nuisance=Nuisance(max_radius=0.01, time_zero=0.01, rest_r
 ARMS = {"information": Laplace(16), "robust": RobustLaplace(16)}
 SHOTS = 3
 ACTS = 0.005  # least change of R*, at one design, of an effect that counts
-DESIGN = torch.tensor([300.0, 0.22], dtype=torch.float64)
+DESIGN = tensor([300.0, 0.22])
 
 
 def choose_designs(arm: str, shots: int = SHOTS) -> Line:
@@ -55,7 +56,7 @@ def choose_designs(arm: str, shots: int = SHOTS) -> Line:
 def draw_random(seed: int) -> Tensor:
     """Designs at random, We at equal ratios."""
     low, high = DesignSpace().bounds.log()
-    unit = torch.rand(SHOTS, 2, generator=generator(child(seed, "random")), dtype=torch.float64)
+    unit = rand(SHOTS, 2, generator=generator(child(seed, "random")))
     return (low + (high - low) * unit).exp()
 
 
@@ -71,7 +72,7 @@ def draw_truth(seed: int, *, lacking: bool) -> tuple[Tensor, str]:
         own = [effect for effect in library() if effect.family == family]
         effect = own[int(torch.randint(len(own), (), generator=source))]
         values = {
-            name: float(prior.to_physical(torch.randn((), generator=source, dtype=torch.float64)))
+            name: float(prior.to_physical(randn((), generator=source)))
             for name, prior in effect.priors.items()
         }
         moved = gel.clone()
@@ -156,10 +157,7 @@ def main() -> None:
         args.out, {f"designs/{arm}": partial(choose_designs, arm) for arm in ARMS}
     )
     jobs = {}
-    fixed = {
-        arm: torch.tensor(line["designs"], dtype=torch.float64)
-        for arm, line in zip(ARMS, chosen, strict=True)
-    }
+    fixed = {arm: tensor(line["designs"]) for arm, line in zip(ARMS, chosen, strict=True)}
     for seed in range(args.gels):
         for arm, designs in (fixed | {"random": draw_random(seed)}).items():
             for what, lacking in (("effect", True), ("none", False)):

@@ -15,7 +15,6 @@ from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import torch
 from torch import Tensor
 
 from benchmarks.records import Figure, Line, run_missing_jobs, write_figures, write_table
@@ -28,6 +27,7 @@ from imr_torch.campaign import (
     stopping_rule,
 )
 from imr_torch.design import Laplace, Plan, optimal_measure
+from imr_torch.float64 import tensor
 from imr_torch.material import PARAMETERS, Belief, Cloud, reference_case
 from imr_torch.material.belief import even_belief
 from imr_torch.observe import Experiment, Nuisance, SimulatedLaboratory
@@ -55,9 +55,6 @@ SETTINGS = {
         even_belief((reference_case("soft-pa").prior["nhkv"],)),
         "G:5%,mu:5%",
         Plan(repeats=1, nuisance=UNCERTAIN),
-    ),
-    "stiff": Setting(
-        reference_case("stiff-pa").prior, "mu:3%,model:.99", Plan(repeats=1, nuisance=UNCERTAIN)
     ),
     "model": Setting(
         reference_case("stiff-pa").prior, "model:.99", Plan(repeats=1, nuisance=UNCERTAIN)
@@ -170,7 +167,7 @@ def main() -> None:
     jobs = {f"{name}/predicted": partial(predict_shots, name)}
     jobs |= {f"{name}/{seed}": partial(count_shots, name, seed) for seed in range(args.seeds)}
     predicted, *lines = run_missing_jobs(args.out, jobs, workers=args.workers)
-    designs = torch.tensor(predicted["designs"], dtype=torch.float64)
+    designs = tensor(predicted["designs"])
     done = [seed for seed, line in enumerate(lines) if "error" not in line]
     own = {f"{name}/gel/{seed}": partial(predict_gel, name, designs, seed) for seed in done}
     if "model" in SETTINGS[name].target:

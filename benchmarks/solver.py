@@ -26,7 +26,8 @@ import numpy as np
 import torch
 from torchdiffeq import odeint
 
-from imr_torch.material import PARAMETERS, reference_case
+from imr_torch.float64 import linspace, ones, rand, tensor
+from imr_torch.material import reference_case
 from imr_torch.simulate import (
     ACCURACIES,
     STEPPINGS,
@@ -36,19 +37,17 @@ from imr_torch.simulate import (
     TransportSimulator,
 )
 from imr_torch.simulate.bubbles import Bubbles
-from imr_torch.simulate.polytropic import head_of, rate_of, start_of
-from tests.simulate.scipy_reference import ScipySimulator
+from imr_torch.simulate.polytropic import head_of, rate_of
+from tests.simulate.scipy_reference import solve_by_scipy
 
-TIMES = torch.linspace(0.0, 4.0, 81, dtype=torch.float64)
+TIMES = linspace(0.0, 4.0, 81)
 
 
 def draws(count: int, device: str, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
     """Parameters ``count x p`` and designs ``count x 2`` of the benchmark."""
     parameters = reference_case("stiff-pa").prior.sample(count, seed=seed).parameters
-    unit = torch.rand(
-        count, 2, generator=torch.Generator().manual_seed(seed + 1), dtype=torch.float64
-    )
-    low, high = torch.tensor([[100.0, 0.14], [1000.0, 0.30]], dtype=torch.float64)
+    unit = rand(count, 2, generator=torch.Generator().manual_seed(seed + 1))
+    low, high = tensor([[100.0, 0.14], [1000.0, 0.30]])
     return parameters.to(device), (low + (high - low) * unit).to(device)
 
 
@@ -105,23 +104,6 @@ def errors(
     return float(error.median()), float(error.max())
 
 
-def bundle_milliseconds(simulator: TransportSimulator, width: int, repeats: int) -> float:
-    """Median milliseconds of a leader and followers that differ from it by a millionth of G.
-
-    A new leader each time.
-    """
-    bundles = []
-    for seed in range(100, 101 + repeats):
-        parameters, designs = draws(1, "cpu", seed)
-        members = parameters[:, None].repeat(1, width, 1)
-        members[:, 1:, PARAMETERS.index(["G"])] *= (
-            1.0 + 1e-6 * torch.arange(1, width, dtype=torch.float64)[:, None]
-        )
-        bundles.append((members, designs[:, None]))
-    waiting = iter(bundles)
-    return 1e3 * seconds_of(lambda: simulator.bundle(*next(waiting), TIMES), repeats)
-
-
 def speedup(count: int, repeats: int) -> float:
     """Wall time of one thread over that of two, median of pairs taken in turn."""
     ratios = []
@@ -154,11 +136,25 @@ def plain_dopri5(count: int) -> Callable[[], Any]:
     """The same bubbles by torchdiffeq with one adaptive step for the whole batch."""
     parameters, designs = draws(count, "cpu")
     bubbles = Bubbles.of(parameters, designs, Conditions())
+    one = ones(count)
+    start = torch.stack((one, 0.0 * one, 0.0 * one))
 
     def rate(_: torch.Tensor, state: torch.Tensor) -> torch.Tensor:
         return rate_of(bubbles, head_of(bubbles, state), state)
 
     return lambda: odeint(rate, start_of(bubbles), TIMES, method="dopri5", rtol=1e-5, atol=1e-7)
+
+
+def scipy_bdf(count: int) -> None:
+    """Bubbles with transport by SciPy, one after the other."""
+    parameters, designs = draws(count, "cpu")
+    simulator = TransportSimulator()
+    for bubble in zip(parameters, designs, strict=True):
+        solve_by_scipy(
+            (*bubble, TIMES),
+            conditions=simulator.conditions,
+            resolution=simulator.accuracy.resolution,
+        )
 
 
 def measure_device(device: str) -> dict[str, float]:
@@ -209,7 +205,6 @@ def measure_processor(repeats: int) -> dict[str, float]:
         for count in counts:
             many = 9 * repeats if count < 10 else repeats
             result[f"{name}_{count}_ms"] = milliseconds(simulator, count, many)
-    result["bundle_8_ms"] = bundle_milliseconds(full, 8, 3 * repeats)
     tensors = TransportSimulator(engine="torchdiffeq")
     for count in (48, 1000):
         result[f"tensor_{count}_ms"] = milliseconds(tensors, count, 1)
@@ -218,8 +213,7 @@ def measure_processor(repeats: int) -> dict[str, float]:
         result["dopri5_48_ms"] = 1e3 * seconds_of(plain_dopri5(48), 1) / 48
     except AssertionError as error:  # torchdiffeq's word for a step that shrank to nothing
         print(f"plain dopri5 with one step for 48 bubbles fails: {error}")
-    stiff = ScipySimulator(method="BDF", rtol=1e-5, atol=1e-7)
-    return result | {"scipy_bdf_full_s": 1e-3 * milliseconds(stiff, 3, 1)}
+    return result | {"scipy_bdf_full_s": seconds_of(lambda: scipy_bdf(3), 1) / 3}
 
 
 if __name__ == "__main__":

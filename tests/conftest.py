@@ -4,7 +4,6 @@ where they exist.
 
 import gc
 import os
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -35,7 +34,7 @@ SLOWEST = (
 
 
 @pytest.fixture(scope="session")
-def shared() -> Path:
+def shared():
     """Folder of the real experiments and reference curves, which the project may use and not ship.
 
     Looked for at ``$IMR_TORCH_SHARED``, else in ``shared`` beside the checkout; tests that need it
@@ -50,7 +49,7 @@ def shared() -> Path:
 
 
 @pytest.fixture(scope="session")
-def processes() -> Iterator[Processes]:
+def processes():
     """Runs scripts in processes of their own that need not load the libraries first."""
     starting = Processes()
     yield starting
@@ -58,7 +57,7 @@ def processes() -> Iterator[Processes]:
 
 
 @pytest.fixture(autouse=True)
-def keep_threads() -> Iterator[None]:
+def keep_threads():
     """Commands set the number of threads of the process."""
     before = torch.get_num_threads()
     yield
@@ -66,14 +65,14 @@ def keep_threads() -> Iterator[None]:
 
 
 @pytest.fixture
-def rendered() -> Iterator[None]:
+def rendered():
     """Figures are rendered in this test; in others each is saved as one pixel."""
     with figures.rendering():
         yield
 
 
 @pytest.fixture
-def few_deviations(monkeypatch: pytest.MonkeyPatch) -> None:
+def few_deviations(monkeypatch):
     """See :func:`tests.fewer.sum_few_deviations`."""
     from tests.fewer import sum_few_deviations  # not before shapes are checked
 

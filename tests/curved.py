@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate import ImportanceSample, ModelFit
+from imr_torch.float64 import linspace
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.simulate import Conditions, Solution
@@ -59,7 +60,7 @@ def quadrature(
     """Rectangle rule over +-6 prior standard deviations: spectrally accurate for a density that
     vanishes at the edges.
     """
-    axis = torch.linspace(-6.0, 6.0, points, dtype=torch.float64)
+    axis = linspace(-6.0, 6.0, points)
     controls = torch.cartesian_prod(axis, axis)
     likelihood = batch.log_likelihood(predict(simulator, fit.parameters(controls), batch)).sum(-1)
     logs = likelihood - 0.5 * controls.square().sum(-1) - math.log(2.0 * math.pi)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import torch
 
+from imr_torch.float64 import arange, linspace, randn
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch
 from tests.linear import NOISE, LinearSimulator, prior, tensor
@@ -15,7 +16,7 @@ class Slow(LinearSimulator):
     """What parameters add changes as slowly as the residuals of a misfit drift."""
 
     def _columns(self, frames: int, weber: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
-        k = torch.arange(frames, dtype=torch.float64)[:, None]
+        k = arange(frames)[:, None]
         j = which.double()
         units = tensor(*[self.units.get(name, 1.0) for name in PARAMETERS.names])[which]
         return 0.1 * torch.cos((0.05 + 0.04 * j) * k + j) / units
@@ -28,8 +29,8 @@ def drifting(seed: int, *, alone: bool = False) -> tuple[ExperimentBatch, torch.
         The curves, and the whitened gel, of each curve where they differ.
     """
     source = torch.Generator().manual_seed(seed)
-    gel = torch.randn(4 if alone else 1, 2, generator=source, dtype=torch.float64)
-    times = torch.linspace(0.05, 2.5, 40, dtype=torch.float64)
+    gel = randn(4 if alone else 1, 2, generator=source)
+    times = linspace(0.05, 2.5, 40)
     clean = Slow()(PART.to_si(gel), tensor(400.0, 0.2), times).radius
     noise = replace(NOISE, correlation_time=0.4)
     seen = torch.stack(

@@ -1,27 +1,13 @@
-"""What a user adds from outside the package: a file format, a constitutive model, an effect, an estimator of the information
-gain. Run by ``test_extension.py``.
+"""What a user adds from outside the package: a constitutive model and an effect. Run by
+``test_extension.py``.
 
-It prints one line for each, from the file to the answer, with polytropic bubbles.
+It prints one line for each, from the data to the answer, with polytropic bubbles.
 """
-
-import sys
-from dataclasses import dataclass
-from pathlib import Path
 
 import torch
 
-from imr_torch import characterize, load_traces
+from imr_torch import characterize
 from imr_torch.assimilate import SearchOptions
-from imr_torch.campaign import Campaign, CampaignSettings, Optimal
-from imr_torch.design import (
-    ExpectedInformationGain,
-    InformationEstimator,
-    InformationGain,
-    Plan,
-    Shot,
-    search_design,
-)
-from imr_torch.design.response import radii
 from imr_torch.elementary import Scalar, exp
 from imr_torch.gap import diagnose
 from imr_torch.material import (
@@ -43,30 +29,10 @@ from imr_torch.material.viscous import NEWTONIAN
 from imr_torch.observe import (
     Given,
     RadiusTrace,
-    Reader,
     SimulatedLaboratory,
     TraceSet,
-    register_reader,
 )
 from imr_torch.simulate import PolytropicSimulator
-
-# ---------------------------------------------------------------- a file format: "IMR", Rmax and
-# R_inf in um, then us; um
-
-
-def read(path: Path) -> TraceSet:
-    _, top, rest, *rows = path.read_text().splitlines()
-    time, radius = (
-        1e-6
-        * torch.tensor([[float(x) for x in row.split(";")] for row in rows], dtype=torch.float64).T
-    )
-    given = Given(
-        max_radius_m=1e-6 * float(top), time_of_max_s=0.0, rest_radius_m=1e-6 * float(rest)
-    )
-    return TraceSet((RadiusTrace(path.stem, time, radius, str(path), given),))
-
-
-register_reader(Reader("semicolons", lambda path, head: head.startswith(b"IMR\n"), read))
 
 # ---------------------------------------------------------------- a constitutive model: a second
 # spring, of Mooney and Rivlin
@@ -134,32 +100,8 @@ register_effect(
 )
 
 
-# ---------------------------------------------------------------- an estimator of the information
-# gain: a Gaussian channel a frame
-
-
-@dataclass(frozen=True)
-class GaussianChannel(InformationEstimator):
-    """``1/2 log(1 + variance of the prediction/variance of the noise)``, summed over frames as if these were independent."""
-
-    draws: int = 16
-
-    def __call__(self, shot: Shot, generator: torch.Generator) -> InformationGain:
-        """See :class:`InformationEstimator`."""
-        nats = torch.zeros((), dtype=torch.float64)
-        for part, weight in zip(
-            shot.belief.models, shot.belief.log_probabilities.exp(), strict=True
-        ):
-            v = torch.randn(self.draws, len(part.names), generator=generator, dtype=torch.float64)
-            seen = radii(shot, part, v)
-            noise = shot.plan.noise.sd(seen, shot.plan.times).square().mean(0) / shot.plan.repeats
-            nats = nats + 0.5 * weight * torch.log1p(seen.var(0) / noise).sum()
-        count = self.draws * len(shot.belief.models)
-        return InformationGain(float(nats), 0.0, variance=0.01, counted=count, drawn=count)
-
-
-def main(folder: Path) -> None:
-    """File, model, effect, estimator."""
+def main() -> None:
+    """Model and effect."""
     simulator = PolytropicSimulator()
     times = torch.linspace(0.0, 2.4, 73, dtype=torch.float64)
     gel = PARAMETERS.pack({"G": 2000.0, "mu": 0.1, "G_second": 8000.0})
@@ -167,22 +109,18 @@ def main(folder: Path) -> None:
     outer = simulator.conditions.surroundings
     top = float(outer.max_radius(design[0]))
     shot = SimulatedLaboratory(simulator, gel, repeats=1, times=times).shoot(design, seed=0)
-    seconds = shot.times * outer.time_scale(top)
-    lines = [
-        f"{1e6 * t!r};{1e6 * top * r!r}"
-        for t, r in zip(seconds.tolist(), shot.radius[0].tolist(), strict=True)
-    ]
-    file = folder / "gel.imr"
-    file.write_text("\n".join(["IMR", repr(1e6 * top), repr(0.2e6 * top), *lines]))
-    traces = load_traces(file)
-    print("file", len(traces[0]), round(1e6 * float(traces[0].radius_m.max())))
-
-    options = SearchOptions(raw_samples=48, starts=2)
+    trace = RadiusTrace(
+        "gel",
+        shot.times * outer.time_scale(top),
+        top * shot.radius[0],
+        "memory",
+        Given(max_radius_m=top, time_of_max_s=0.0, rest_radius_m=0.2 * top),
+    )
     found = characterize(
-        traces,
+        TraceSet((trace,)),
         prior=wide_prior(("nhkv", "two_springs")),
         simulator=simulator,
-        options=options,
+        options=SearchOptions(raw_samples=48, starts=2),
         medium="density=1060",
     )
     print("model", found.posterior.best.model, ",".join(found.posterior.best.names))
@@ -196,22 +134,6 @@ def main(folder: Path) -> None:
     report = diagnose(shots, effects=rivals, noise=laboratory.noise, simulator=simulator)
     print("effect", report.verdict, "+".join(report.cause))
 
-    prior = wide_prior(("nhkv", "two_springs"))
-    plan = Plan()
-    own = GaussianChannel()
-    acquisition = ExpectedInformationGain(prior, simulator, own, plan=plan)
-    search = search_design(acquisition, seed=0, q=2, evaluations=4, initial=3)
-    settings = CampaignSettings(plan=plan, policy=Optimal(own, evaluations=3, initial=2))
-    campaign = Campaign(folder / "campaign", prior, simulator, settings=settings, seed=0)
-    asked = campaign.ask()
-    again = Campaign(folder / "campaign", prior, simulator, settings=settings, seed=0).ask()
-    print(
-        "estimator",
-        len(search.chosen),
-        asked.gain is not None,
-        torch.equal(asked.design, again.design),
-    )
-
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main()

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
+from imr_torch.float64 import arange, eye, rand, randn, zeros
 from imr_torch.material import PARAMETERS, Belief, ModelBelief, TruncatedNormal, material
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance
 from imr_torch.simulate import Conditions, Solution, Status, broadcast_batch
@@ -53,7 +54,7 @@ class LinearSimulator:
 
     def _columns(self, frames: int, weber: Tensor, which: Tensor) -> Tensor:
         """Those of some parameters, by their places."""
-        k = torch.arange(frames, dtype=torch.float64)[:, None]
+        k = arange(frames)[:, None]
         j = which.double()
         units = tensor(*[self.units.get(name, 1.0) for name in PARAMETERS.names])[which]
         return 0.1 * torch.cos((0.5 + 0.4 * j) * k + 0.003 * weber[..., None, None] + j) / units
@@ -105,13 +106,8 @@ def prior(models: tuple[str, ...] = MODELS, *, correlated: bool = False) -> Beli
     for part in belief.models:
         d = len(part.names)
         source = torch.Generator().manual_seed(d)
-        chol = (
-            torch.tril(0.4 * torch.randn(d, d, generator=source, dtype=torch.float64), -1)
-            + torch.eye(d) * 0.7
-        )
-        parts.append(
-            part.with_gaussian(0.3 * torch.randn(d, generator=source, dtype=torch.float64), chol)
-        )
+        chol = torch.tril(0.4 * randn(d, d, generator=source), -1) + torch.eye(d) * 0.7
+        parts.append(part.with_gaussian(0.3 * randn(d, generator=source), chol))
     return Belief(tuple(parts), belief.log_probabilities)
 
 
@@ -127,11 +123,9 @@ def experiments(
     made = []
     for e in range(count):
         frames = 9 + 3 * ((e + seed) % 3)
-        times = 0.1 * e + torch.cumsum(
-            0.1 + 0.2 * torch.rand(frames, generator=source, dtype=torch.float64), 0
-        )
+        times = 0.1 * e + torch.cumsum(0.1 + 0.2 * rand(frames, generator=source), 0)
         design = (300.0 + 250.0 * e, 0.15 + 0.05 * e)
-        shift = torch.randn(3, generator=source, dtype=torch.float64) * nuisance.sds()
+        shift = randn(3, generator=source) * nuisance.sds()
         clean = (
             LinearSimulator()(truth, tensor(*design), times).radius
             + 0.3 * shift[1]
@@ -192,12 +186,12 @@ def exact(
             * slopes[:, 0]
             @ part.chol
         )
-        nuisance = torch.zeros(frames, 3 * count, dtype=torch.float64)
+        nuisance = zeros(frames, 3 * count)
         nuisance[:, 3 * e + 1] = simulator.time_slope * shot.nuisance.time_zero
         nuisance[:, 3 * e + 2] = simulator.rest_slope * shot.design[1] * shot.nuisance.rest_radius
         gap = (shot.times[:, None] - shot.times).abs()
         tau = batch.noise.correlation_time
-        correlation = torch.exp(-gap / tau) if tau else torch.eye(frames, dtype=torch.float64)
+        correlation = torch.exp(-gap / tau) if tau else eye(frames)
         expected = simulator(start, design, shot.times).radius
         for curve in shot.radius:
             observed.append(curve)
@@ -213,7 +207,7 @@ def exact(
         root, torch.cat((A, (y - m)[:, None]), dim=1), upper=False
     ).split((A.shape[1], 1), dim=1)
     mean = (a.mT @ z)[:, 0]
-    covariance = torch.eye(A.shape[1], dtype=torch.float64) - a.mT @ a
+    covariance = eye(A.shape[1]) - a.mT @ a
     logdet = 2.0 * root.diagonal().log().sum()
     evidence = -0.5 * float(z.square().sum() + logdet + len(y) * math.log(2.0 * math.pi))
     return Exact(mean[:d], covariance[:d, :d], mean[d:].reshape(count, 3), evidence)

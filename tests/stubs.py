@@ -2,10 +2,9 @@
 
 from dataclasses import dataclass
 
-import torch
-
 from imr_torch.campaign import Inference, Observations
 from imr_torch.errors import ConvergenceError
+from imr_torch.float64 import randn
 from imr_torch.material import Belief
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
@@ -31,10 +30,7 @@ class StubLearner:
             raise ConvergenceError("The stub did not converge.")
         for part in observations.prior.models:
             source = generator(child(observations.seed, "stub", len(batch.experiments)))
-            mean = (
-                torch.randn(len(part.names), generator=source, dtype=torch.float64)
-                * batch.mean.sum()
-            )
+            mean = randn(len(part.names), generator=source) * batch.mean.sum()
             parts.append(part.with_gaussian(mean, part.chol * 0.5))
         return Inference(
             Belief(tuple(parts), observations.prior.log_probabilities),

@@ -6,10 +6,8 @@ import copy
 import csv
 import json
 import re
-import sys
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
-from pathlib import Path
 
 import pytest
 import torch
@@ -23,9 +21,9 @@ from imr_torch.characterization.batch import (
     characterize_shot,
     run_batch,
 )
-from imr_torch.characterization.saved import SavedCharacterization, to_dataframe
+from imr_torch.characterization.saved import SavedCharacterization
 from imr_torch.cli import main
-from imr_torch.errors import InputDataError, UnsupportedError
+from imr_torch.float64 import tensor
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Statement, load_traces
 from imr_torch.results import document_page, header
@@ -49,7 +47,7 @@ def curve(stiffness: float) -> str:
     """A table of one simulated bubble."""
     times = float64.linspace(0.0, 2.2, 23)
     gel = PARAMETERS.pack({"G": stiffness, "mu": 0.093})
-    bubble = PolytropicSimulator()(gel, torch.tensor([200.0, 0.2]).double(), times)
+    bubble = PolytropicSimulator()(gel, tensor([200.0, 0.2]), times)
     seconds = times * Surroundings().time_scale(SIZE)
     return "t (us),R (um)\n" + "".join(
         f"{1e6 * t},{1e6 * SIZE * r}\n"
@@ -117,7 +115,7 @@ def test_that_a_result_reopens_with_its_posterior_its_draws_and_its_table(shots,
         medium=OPTIONS.medium,
     )
     result.save(tmp_path / "gel.json")
-    assert main(["plot", str(tmp_path / "gel.json"), "--format", "png", "--quiet"]) == 0
+    assert main(f"plot {tmp_path}/gel.json --format png --quiet".split()) == 0
     assert (tmp_path / "parameter_G.png").exists()
     saved = SavedCharacterization.load(tmp_path / "gel.json")
     assert saved.posterior.to_dict() == result.posterior.to_dict()
@@ -136,7 +134,7 @@ def test_that_a_result_reopens_with_its_posterior_its_draws_and_its_table(shots,
     assert frame.equals(saved.to_dataframe())
 
 
-def test_that_the_workbook_holds_the_table(shots: Path, tmp_path: Path) -> None:
+def test_that_the_workbook_holds_the_table(shots, tmp_path):
     openpyxl = pytest.importorskip("openpyxl")
     summary = run_batch(shots / "gel_1.csv", folder=tmp_path, options=OPTIONS)
     (sheet,) = openpyxl.load_workbook(tmp_path / "summary.xlsx").worksheets
@@ -145,15 +143,6 @@ def test_that_the_workbook_holds_the_table(shots: Path, tmp_path: Path) -> None:
     wanted = [summary.rows[0].get(name) for name in head]
     for found, value in zip(line, wanted, strict=True):  # a workbook keeps 16 digits
         assert found == (pytest.approx(value) if isinstance(value, float) else value)
-
-
-def test_that_a_table_needs_pandas_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(
-        UnsupportedError,
-        match=r"to_dataframe needs pandas: pip install pandas; rows\(\) gives the same",
-    ):
-        to_dataframe([{"a": 1}])
 
 
 def test_that_a_run_goes_on_with_what_is_missing_or_has_changed(shots, tmp_path, calls):
@@ -288,7 +277,7 @@ ROWS = (
 )
 
 
-def test_that_the_page_has_a_line_a_shot_and_a_plot_a_parameter() -> None:
+def test_that_the_page_has_a_line_a_shot_and_a_plot_a_parameter():
     text = document_page(header("batch") | BatchSummary(ROWS).to_dict())
     assert text.partition("<details>")[0].count("<tr") == 4  # two tables of a head and a row
     assert text.count("data:image/png;base64,") == 2
@@ -300,7 +289,7 @@ def test_that_the_page_has_a_line_a_shot_and_a_plot_a_parameter() -> None:
     assert [label.get_text() for label in ax.get_xticklabels()] == ["a<b"]
 
 
-def test_that_shots_whose_curves_the_model_does_not_explain_are_not_to_be_quoted() -> None:
+def test_that_shots_whose_curves_the_model_does_not_explain_are_not_to_be_quoted():
     misfit = ROWS[0] | {"explained": "no"}
     assert is_usable(ROWS[0])
     assert not is_usable(misfit)
@@ -310,17 +299,6 @@ def test_that_shots_whose_curves_the_model_does_not_explain_are_not_to_be_quoted
     page = document_page(header("batch") | summary.to_dict())
     assert 'class="verdict warning"' in page
     assert '<tr class="marked">' in page
-
-
-def test_that_a_result_and_a_shot_can_be_drawn_again(shots: Path, tmp_path: Path, rendered) -> None:
-    run_batch(shots / "gel_1.csv", folder=tmp_path / "out", options=OPTIONS)
-    found = characterize_shot(load_traces(shots / "gel_1.csv"), OPTIONS)
-    assert found["schema"]["name"] == "imr_torch characterize"
-    page = str(tmp_path / "page.html")
-    shot = str(tmp_path / "out" / "shots" / "gel_1.json")
-    again = ["--out", str(tmp_path / "again"), "--format", "png", "--html", page]
-    assert main(["plot", shot, *again, "--quiet"]) == 0
-    assert (tmp_path / "again" / "parameter_G.png").exists()
 
 
 COMMAND = [
@@ -338,7 +316,7 @@ COMMAND = [
 
 def test_that_the_command_writes_all_and_tells_of_failures(shots, tmp_path, capsys):
     out = tmp_path / "out"
-    command = ["batch", str(shots), "--out", str(out), "--workers", "1", *COMMAND]
+    command = [*f"batch {shots} --out {out} --workers 1".split(), *COMMAND]
     command += ["--medium", "density=1060"]
     assert main(command) == 2
     captured = capsys.readouterr()
@@ -370,18 +348,11 @@ def test_that_the_command_writes_all_and_tells_of_failures(shots, tmp_path, caps
     ("arguments", "message"),
     [
         (["{in}", "--out", "{in}"], "the folder of the curves; name another one"),
-        (
-            ["{in}", "--out", "{in}/bad.csv"],
-            "--out is .*bad.csv', which is a file; give another name",
-        ),
         (["{in}", "--out", "{out}", "--workers", "0"], "--workers is 0; expected at least 1"),
-        (["{in}", "--out", "{out}", "--collapses", "0"], "--collapses is 0; expected at least 1"),
         (
             ["{in}", "--out", "{out}", "--workers", "2", "--cluster", "x"],
             "--workers and --cluster both say who does the work",
         ),
-        (["{in}/none*", "--out", "{out}"], "no file fits this pattern"),
-        (["{in}", "--out", "{out}", "--layout", "radius"], "--layout: cannot use 'radius'"),
     ],
 )
 def test_that_bad_options_end_with_a_message_before_any_work(
@@ -399,23 +370,13 @@ def test_that_a_scheduler_that_does_not_answer_is_named(shots, tmp_path, capsys,
     assert (
         main(
             [
-                "batch",
-                str(shots),
-                "--out",
-                str(tmp_path / "out"),
-                "--cluster",
-                "tcp://127.0.0.1:9",
+                *f"batch {shots} --out {tmp_path}/out --cluster tcp://127.0.0.1:9".split(),
                 *COMMAND,
             ]
         )
         == 2
     )
     assert "--cluster: no scheduler answers at 'tcp://127.0.0.1:9'" in capsys.readouterr().err
-
-
-def test_that_a_window_below_one_is_refused(tmp_path):
-    with pytest.raises(InputDataError, match="window is 0; expected at least 1"):
-        run_batch(tmp_path, folder=tmp_path, options=OPTIONS, window=0)
 
 
 def test_that_no_more_shots_than_the_window_are_in_hand(shots, tmp_path, calls):
@@ -440,11 +401,7 @@ def test_that_the_workers_of_a_dask_cluster_do_it(shots, tmp_path, capsys):
     place = {"n_workers": 1, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
     with distributed.LocalCluster(protocol="tcp://", host="127.0.0.1", **place) as cluster:
         arguments = [
-            "batch",
-            str(shots),
-            "--out",
-            str(tmp_path / "out"),
-            "--cluster",
+            *f"batch {shots} --out {tmp_path}/out --cluster".split(),
             cluster.scheduler_address,
         ]
         assert main([*arguments, *COMMAND]) == 2

@@ -1,6 +1,5 @@
 """The command line as a user meets it: results, JSON, figures, and messages that say what to do."""
 
-import functools
 import json
 import re
 import shutil
@@ -15,10 +14,11 @@ from imr_torch.cli import COMMANDS, build_parser, main
 from imr_torch.cli.campaign_settings import settings_of
 from imr_torch.cli.common import read_options
 from imr_torch.cli.design import plan_of
+from imr_torch.float64 import arange, randn, tensor
 from imr_torch.material import PARAMETERS, wide_prior
 from imr_torch.observe import Nuisance
 from imr_torch.results import draw_figures
-from imr_torch.simulate import PolytropicSimulator, Status, explain_growth
+from imr_torch.simulate import PolytropicSimulator
 from tests.journals import cut
 
 EXAMPLE = example_gel()
@@ -80,28 +80,10 @@ def test_that_a_result_says_with_which_equation_and_liquid_it_was_made(tmp_path,
     assert "A change of" not in capsys.readouterr().out
 
 
-def test_that_an_ill_conditioned_bubble_says_so(monkeypatch, capsys):
-    """Bubbles in which a change grows a thousandfold are driven for long; here the limit is lower."""
-    bubble = ["simulate", "--set", "G=8310,mu=0.093", "--physics", "polytropic", "--frames", "41"]
-    assert main(bubble) == 0
-    assert "grows by" not in capsys.readouterr().out
-    low = functools.partial(explain_growth, limit=1.0)
-    monkeypatch.setattr("imr_torch.cli.simulate.explain_growth", low)
-    assert main(bubble) == 0
-    said = capsys.readouterr().out
-    assert Status.ILL_CONDITIONED.sentence in said
-    assert re.search(r"A change of 1e-09 in \w+ grows by .+\. Ask for an earlier last time", said)
-
-
 def test_simulate_writes_the_curve_and_a_figure(rendered, tmp_path, capsys):
     out = tmp_path / "bubble"
     gel = ["--set", "G=8310,mu=0.093"]
-    assert (
-        main(
-            ["simulate", *gel, "--we", "300", "--rinf", "0.2", "--out", str(out), "--frames", "41"]
-        )
-        == 0
-    )
+    assert main(["simulate", *gel, *f"--we 300 --rinf 0.2 --out {out} --frames 41".split()]) == 0
     result = json.loads((out / "simulate.json").read_text())
     assert len(result["R_star"]) == len(result["time_s"]) == 41
     assert result["R_star"][0] == 1.0
@@ -113,17 +95,9 @@ def test_simulate_writes_the_curve_and_a_figure(rendered, tmp_path, capsys):
 
 def test_characterize_finds_the_gel_that_ships_with_the_project(tmp_path, capsys):
     out = tmp_path / "result"
-    arguments = [
-        "characterize",
-        str(EXAMPLE),
-        "--models",
-        "nhkv",
-        "--noise",
-        "published",
-        "--quiet",
-        "--out",
-        str(out),
-    ]
+    arguments = (
+        f"characterize {EXAMPLE} --models nhkv --noise published --quiet --out {out}".split()
+    )
     assert main([*arguments, "--experiments", "shot_1,shot_3"]) == 0
     result = json.loads((out / "characterize.json").read_text())
     assert [e["id"] for e in result["experiments"]] == ["shot_1", "shot_3"]
@@ -182,17 +156,6 @@ def test_design_can_ask_about_the_model_alone(tmp_path):
     assert all(row["parameters"] == 0.0 and row["eig"] <= 0.6932 for row in evaluated)
 
 
-def test_design_recommends_inside_the_space_and_draws_its_map(rendered, tmp_path):
-    out = tmp_path / "next"
-    options = ["--evaluations", "5", "--draws", "4", "--we-range", "200:400"]
-    assert main(["design", "--case", "soft-pa", *options, *QUICK, "--out", str(out)]) == 0
-    result = json.loads((out / "design.json").read_text())
-    assert 200.0 <= result["design"]["We"] <= 400.0
-    assert len(result["evaluations"]) == 5
-    assert all(row["sd"] > 0 and row["eig"] > 0 for row in result["evaluations"])
-    assert (out / "information.png").stat().st_size > 5000
-
-
 def test_design_says_which_shots_are_best_and_how_many_a_target_needs(rendered, tmp_path, capsys):
     out = tmp_path / "shots"
     page = tmp_path / "shots.html"
@@ -207,10 +170,7 @@ def test_design_says_which_shots_are_best_and_how_many_a_target_needs(rendered, 
                 "G",
                 *options,
                 *QUICK,
-                "--out",
-                str(out),
-                "--html",
-                str(page),
+                *f"--out {out} --html {page}".split(),
             ]
         )
         == 0
@@ -275,12 +235,7 @@ def test_that_the_page_and_the_figures_of_a_campaign_come_from_its_json_alone(
     assert names == {"models", "parameter_G", "parameter_mu", "information_001", "curve_001"}
     copy = tmp_path / "campaign.json"
     copy.write_text(json.dumps(document))
-    assert (
-        main(
-            ["plot", str(copy), "--format", "png", "--html", str(tmp_path / "page.html"), "--quiet"]
-        )
-        == 0
-    )
+    assert main(f"plot {copy} --format png --html {tmp_path}/page.html --quiet".split()) == 0
     assert {path.stem for path in tmp_path.glob("*.png")} == names
     page = (tmp_path / "page.html").read_text()
     assert "After 1 experiment(s) NHKV has a probability of" in page
@@ -335,12 +290,12 @@ def shot_csv(path, seed=3):
     simulator = PolytropicSimulator()
     source = torch.Generator().manual_seed(seed)
     surroundings = simulator.conditions.surroundings
-    times = torch.arange(1, 75, dtype=torch.float64) * 1e-6
-    design = torch.tensor([surroundings.weber(300e-6), 0.21], dtype=torch.float64)
+    times = arange(1, 75) * 1e-6
+    design = tensor([surroundings.weber(300e-6), 0.21])
     radius = simulator(
         PARAMETERS.pack(TRUTH), design, times / surroundings.time_scale(300e-6)
     ).radius
-    filmed = radius + 0.003 * torch.randn(len(times), generator=source, dtype=torch.float64)
+    filmed = radius + 0.003 * randn(len(times), generator=source)
     rows = (
         f"a,{t:.4e},{r:.5e}\n"
         for t, r in zip(times.tolist(), (300e-6 * filmed).tolist(), strict=True)
@@ -388,14 +343,23 @@ def test_a_real_campaign_asks_learns_from_told_files_and_asks_again(tmp_path, ca
         "designs=1",
         *QUICK,
     ]
-    new = ["--repeats", "1", "--out", str(tmp_path / "other")]
+    new = f"--repeats 1 --out {tmp_path}/other".split()
     assert main([*ending, *new, *rest, "--tell", str(shot)]) == 0
     assert "Enough: 1 designs were shot" in capsys.readouterr().out
 
 
 def real(out, *more) -> list[str]:
     """A campaign with one's own gel whose designs cost nothing."""
-    base = ["campaign", "--models", "nhkv", "--policy", "space-filling", "--repeats", "1", *QUICK]
+    base = [
+        "campaign",
+        "--models",
+        "nhkv",
+        "--policy",
+        "space-filling",
+        "--repeats",
+        "1",
+        *QUICK,
+    ]
     rest = ["--rest-radius", "0.21:0.005"] if "--tell" in more else []
     return [*base, *rest, "--out", str(out), *map(str, more)]
 
@@ -496,46 +460,6 @@ def test_that_a_told_shot_that_cannot_be_used_is_recorded_as_failed_and_asked_fo
     assert main(real(out, "--resume", "--tell", tmp_path / "none.csv")) == 2
 
 
-def test_that_a_refused_tell_leaves_no_journal_that_refuses_the_corrected_command(
-    told_once, tmp_path, capsys
-):
-    _, shot = told_once
-    bad = tmp_path / "bad.csv"
-    out = tmp_path / "gel"
-    header, *rows = shot.read_text().splitlines()
-    cells = [row.split(",") for row in rows]
-    bad.write_text(
-        "\n".join([header, *(f"{a},{1e3 * float(t):.6e},{r}" for a, t, r in cells)]) + "\n"
-    )
-    assert main(real(out, "--tell", bad)) == 2
-    assert "the first collapse is at t* = 90" in capsys.readouterr().err
-    assert not (out / "journal.jsonl").exists()
-    assert (
-        main(
-            [
-                "campaign",
-                "--models",
-                "nhkv,newtonian",
-                "--policy",
-                "random",
-                *QUICK,
-                "--out",
-                str(out),
-            ]
-        )
-        == 0
-    )
-
-
-def test_that_a_campaign_is_resumed_on_any_number_of_threads(tmp_path):
-    out = tmp_path / "gel"
-    assert main(real(out, "--threads", 2)) == 0
-    before = (out / "journal.jsonl").read_bytes()
-    for more in ([], ["--threads", 1]):
-        assert main(real(out, "--resume", *more)) == 0
-        assert (out / "journal.jsonl").read_bytes() == before
-
-
 def test_that_a_folder_in_use_and_a_full_disk_are_one_line_each(told_once, tmp_path, capsys):
     out = tmp_path / "gel"
     shutil.copytree(told_once[0], out)
@@ -593,107 +517,25 @@ CURVE = "".join(f"a,{i}e-6,{(300 - 9 * i if i < 30 else 10 + i) * 1e-6}\n" for i
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["characterize", "nowhere.csv"], r"nowhere\.csv.*(not found|does not exist|no such file)"),
         (
             ["characterize", "{file}", "--models", "maxwell9"],
             "Unknown model 'maxwell9'; known are newtonian, nhe, nhkv",
         ),
         (
-            ["characterize", "{file}", "--models", "qkv"],
-            r"takes \['G'\] as known; give its value in SI units",
-        ),
-        (
-            ["characterize", "{file}", "--experiments", "b"],
-            "No experiment 'b' among the 1 loaded: a",
-        ),
-        (
-            ["characterize", "{file}", "--rest-radius", "1.2:0.1"],
-            "--rest-radius is .1.2:0.1.; expected R_inf/Rmax between 0 and 1",
-        ),
-        (
-            ["characterize", "{file}", "--rest-radius", "wide"],
-            "--rest-radius: 'wide' is not VALUE:VALUE, for example 0.2:0.1",
-        ),
-        (["characterize", "{file}", "--belief", "{file}"], "not a saved belief"),
-        (
-            ["characterize", "{file}", "--population", "--rest-radius", "0.2:0.1"],
-            "A population is inferred from curves, and there is 1; give at least two",
-        ),
-        (["characterize", "{file}", "--known", "G"], "--known: 'G' is not NAME=NUMBER"),
-        (["simulate", "--set", "G=1e4"], "model 'nhkv' has the parameters G, mu; got G"),
-        (
             ["simulate", "--set", "G=-5,mu=0.1"],
             r"Parameter 'G' is -5 Pa; expected a value in \[0, 1e\+07\] Pa",
         ),
-        (
-            ["simulate", "--set", "G=1e4,mu=0.1", "--rinf", "1.0"],
-            r"\(300, 1\): expected We > 0 and 0 < R_inf\* < 1",
-        ),
-        (["simulate", "--set", "G=1e4,mu=0.1", "--frames", "1"], "--frames is 1"),
         (
             ["simulate", "--set", "G=1e4,mu=0.1", "--liquid", "tait"],
             "--liquid is tait, and --radial keller_miksis is an equation in pressure; leave it out",
         ),
         (
-            ["design", "--case", "soft-pa", "--we-range", "900:100"],
-            r"weber is \(900.0, 100.0\); expected 0 < lower < upper",
-        ),
-        (
             ["design", "--case", "soft-pa", "--belief", "x.json"],
             "--belief and --case both name a prior",
-        ),
-        (["design", "--case", "soft-pa", "--q", "0", *QUICK], "q is 0; expected at least 1"),
-        (
-            ["design", "--case", "soft-pa", "--criterion", "E", *QUICK],
-            "the criterion is 'E'; expected D, A, one of G, alpha, mu",
-        ),
-        (
-            ["design", "--case", "soft-pa", "--until", "G=5%"],
-            "'G=5%' is not a stopping rule; expected .* PARAMETER:PERCENT as G:5%",
-        ),
-        (
-            ["design", "--models", "nhkv", "--until", "alpha:5%"],
-            "is no target that shots are counted for; name one of G, mu, as G:5%",
-        ),
-        (
-            ["design", "--case", "soft-pa", "--delivered", "a"],
-            "--delivered: 'a' is not VALUE:VALUE",
-        ),
-        (
-            ["campaign", "--case", "soft-pa", "--out", "{folder}", "--q", "0"],
-            "--q is 0; expected at least 1",
-        ),
-        (
-            ["campaign", "--case", "soft-pa", "--out", "{folder}", "--designs", "0"],
-            "--designs is 0; expected at least 1",
-        ),
-        (
-            ["campaign", "--case", "soft-pa", "--out", "{folder}", "--policy", "best"],
-            "--policy is 'best'; expected optimal, random",
-        ),
-        (
-            ["campaign", "--case", "soft-pa", "--out", "{folder}", "--policy", "300:a"],
-            "--policy: '300:a' is not VALUE:VALUE",
-        ),
-        (
-            ["campaign", "--case", "soft-pa", "--out", "{folder}", "--policy", "nan:.2"],
-            "--policy: 'nan:.2' is not VALUE:VALUE",
-        ),
-        (
-            ["campaign", "--case", "soft-pa", "--out", "{folder}", "--policy", "2000:.2"],
-            r"\(2000, 0.2\) is outside",
         ),
         (
             ["campaign", "--case", "soft-pa", "--out", "{folder}", "--policy", "300:.2"],
             "--policy lists 1 designs and --designs is 2; list as many",
-        ),
-        (
-            ["campaign", "--models", "nhkv", "--out", "{folder}", "--forget", "1"],
-            "holds no journal to resume; leave --forget away",
-        ),
-        (
-            ["campaign", "--case", "soft-pa", "--out", "{folder}", "--stop", "luck=7"],
-            "'luck=7' is not a stopping rule",
         ),
         (
             ["campaign", "--case", "soft-pa", "--out", "{folder}", "--resume"],

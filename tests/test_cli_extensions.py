@@ -56,7 +56,7 @@ def test_that_a_file_adds_a_format_that_commands_and_folders_know(tmp_path, clea
     rows = [f"{i};{150 + i}" for i in range(12)]
     (shots / "gel.own").write_text("\n".join(["OWN", *rows]))
     (shots / "notes").write_text("of the day")
-    command = ["characterize", str(shots), "--physics", "polytropic", "--models", "nhkv"]
+    command = f"characterize {shots} --physics polytropic --models nhkv".split()
     assert main(command) == 2
     assert "the folder holds no file of curves" in capsys.readouterr().err
     assert main([*command, "--import", str(code)]) == 2  # a curve that only grows is refused
@@ -107,8 +107,6 @@ def test_that_workers_import_extensions_first(tmp_path, clean):
     ("name", "text", "message"),
     [
         ("missing.py", None, r"missing\.py: no such Python file; name one that ends in \.py"),
-        ("own.txt", "", r"own\.txt: no such Python file"),
-        ("json.py", "", r"'json' is the name of another module; rename the file"),
         ("time.py", "", r"'time' is the name of another module; rename the file"),
         (
             "own_bad.py",

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from imr_torch import wide_prior
+from imr_torch.float64 import linspace
 from imr_torch.observe import Experiment
 from imr_torch.results.plot import (
     draw_information,
@@ -25,7 +26,7 @@ def narrow(prior, factor: float):
 
 
 def experiment(label: str = "$x_{bad$") -> Experiment:
-    times = torch.linspace(0.0, 2.0, 21, dtype=torch.float64)
+    times = linspace(0.0, 2.0, 21)
     return Experiment(label, (300.0, 0.2), times, (1.0 - 0.2 * times)[None])
 
 

@@ -21,13 +21,12 @@ CHECKED = (
     "tests/observe/test_noise.py",
     "tests/assimilate/test_gauss_newton.py",
     "tests/assimilate/test_posterior.py",
-    "tests/design/test_eig.py::test_sampling_estimators_meet_the_closed_form_within_their_error_where_the_gain_is_small",
+    "tests/design/test_eig.py::test_laplace_is_exact_for_a_linear_gaussian_model",
     "tests/design/test_plan.py",
     "tests/design/test_likelihood.py",
-    "tests/population/test_closed_form.py",
     "tests/goodness/test_score.py",
     "tests/gap/test_locate.py",
-    "tests/gap/test_shrinkage.py::test_that_a_fitted_nuisance_takes_a_shifted_clock_out_of_the_residual",
+    "tests/gap/test_shrinkage.py::test_that_curves_held_out_before_the_fits_judge_what_was_selected_with_all",
     "tests/export/test_sbi.py",
     "tests/test_examples.py",
 )
@@ -43,15 +42,9 @@ STAGES = (
     "export",
 )
 SLOW = (
-    "integrates_to_one",
     "are_scipys",
-    "of_scipys",
-    "noise_estimation",
-    "test_spikes",
     "silent_on",
     "as_often_as",
-    "stepwise",
-    "gel_scatter",
     "hamiltonian",
 )
 REFUSED = (
@@ -99,7 +92,7 @@ def test_that_tensors_have_the_shapes_of_their_annotations(checked):
     assert failed == ["::test_that_does_not_fit"], checked[
         -8000:
     ]  # of a file outside of the project
-    assert int(re.findall(r"(\d+) passed", checked)[-1]) > 600
+    assert int(re.findall(r"(\d+) passed", checked)[-1]) > 450
 
 
 def test_that_a_wrong_shape_is_found(checked):

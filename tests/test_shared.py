@@ -16,7 +16,7 @@ from imr_torch.characterization.saved import SavedCharacterization
 from imr_torch.characterization.shared import SharedParameter, infer_shared
 from imr_torch.cli import main
 from imr_torch.errors import InputDataError
-from imr_torch.float64 import eye, tensor, zeros
+from imr_torch.float64 import arange, eye, tensor, zeros
 from imr_torch.material import Belief, LogNormal, Marginal, TruncatedNormal, wide_prior
 from imr_torch.results import document_page, header
 
@@ -66,7 +66,7 @@ DATA = ((0.2, -0.1, 0.5), (-0.4, 0.3, 0.8), (0.1, 0.6, 0.4))
 def joint_posterior(marginal_variance: float = 1.0) -> tuple[Tensor, Tensor, float]:
     """Mean, covariance and log evidence of (G, mu of each gel, one k), all at once."""
     size = 2 * len(DATA) + 1
-    rows = torch.zeros(3 * len(DATA), size, dtype=torch.float64)
+    rows = zeros(3 * len(DATA), size)
     for i in range(len(DATA)):
         rows[3 * i, 2 * i] = rows[3 * i + 1, 2 * i + 1] = rows[3 * i + 2, -1] = 1.0
     noise = torch.block_diag(*[torch.linalg.inv(PRECISION)] * len(DATA))
@@ -118,14 +118,14 @@ def test_that_a_fit_without_the_effect_says_how_probable_none_is():
 
 
 @pytest.mark.parametrize("truth", [0.05, 0.6, 2.0])
-def test_that_a_one_sided_prior_is_respected(truth: float) -> None:
+def test_that_a_one_sided_prior_is_respected(truth):
     """Half-normal prior, likelihoods about ``truth`` that reach below zero: by quadrature."""
     sds, centres = (0.2, 0.3, 0.25), (truth - 0.25, truth + 0.1, truth)
     prior = prior_of(ONE_SIDED)
     part = prior.models[0]
     results = []
     for number, (sd, centre) in enumerate(zip(sds, centres, strict=True)):
-        u = (torch.arange(4000, dtype=torch.float64) + 0.5) / 4000 * 6.0
+        u = (arange(4000) + 0.5) / 4000 * 6.0
         weights = torch.exp(-0.5 * u.square() - 0.5 * ((u - centre) / sd).square())
         values = {"size_drag": (1e7 * u).tolist(), "G": [1e3] * len(u), "mu": [0.1] * len(u)}
         values["G"] = (1e3 * torch.exp(0.1 * u)).tolist()
@@ -207,12 +207,9 @@ def test_that_what_cannot_be_shared_is_named():
         {"belief": part.to_dict(), "prior": part.to_dict(), "models": {"nhkv": {}}}, source="plain"
     )
     moved = SavedCharacterization(a.document, a.posterior, a.posterior, "moved")
-    without = SavedCharacterization(a.document, a.posterior, None, "bare")
     for results, model, message in (
         ([a], None, "'size_drag': one result; give those of two gels or more"),
         ([a, plain], None, "plain does not infer it in nhkv, .* --models nhkv,nhkv\\+size_drag"),
-        ([a, b], "zener", "does not infer it in zener"),
-        ([a, without], None, "bare .* or holds no 'prior'"),
         ([a, gel(DATA[1], ONE_SIDED)], None, "lower=-inf.* and .*lower=0.0.* from one prior"),
         ([a, moved], None, "moved by earlier data, in moved"),
     ):
@@ -234,7 +231,7 @@ def test_that_a_verdict_needs_a_clear_probability():
 
 
 @pytest.mark.parametrize("truth", ["one", "own", "none"])
-def test_that_simulated_laboratories_are_told_apart(truth: str) -> None:
+def test_that_simulated_laboratories_are_told_apart(truth):
     """Polytropic bubbles; `benchmarks.laboratory` counts how often."""
     found = simulate_laboratory(truth, 1)
     best = max(found["probabilities"], key=found["probabilities"].__getitem__)

@@ -38,6 +38,7 @@ from benchmarks.records import Figure, Line, read_record, write_figures
 from imr_torch.campaign import DesignPolicy, Random, Situation
 from imr_torch.design import DesignSpace, Plan
 from imr_torch.errors import ConvergenceError
+from imr_torch.float64 import linspace, tensor
 from imr_torch.gap import CauseLearner, GapReport, TellCausesApart
 from imr_torch.material import LIBRARY, wide_prior
 from imr_torch.observe import Experiment, ExperimentBatch
@@ -103,7 +104,7 @@ def _shoot_arm(
         if filmed is None:
             raise ConvergenceError(f"The bubble at {design.tolist()} could not be simulated.")
         shots.append(design.tolist())
-        experiments.append(replace(filmed[0][0], label=f"shot {shot}"))
+        experiments.append(replace(filmed[0], label=f"shot {shot}"))
         report = _diagnose(learner, experiments, task, simulator)
         if is_named_alone(report.verdict, report.cause):
             named = shot
@@ -164,7 +165,7 @@ def measure_rivals(line: Line, physics: str) -> dict[str, tuple[float, float]]:
     simulator = replace(task, physics=physics).simulator()
     gel = {name: data.values[name] for name in GEL}
     truth = {name: value for name, value in data.values.items() if name not in GEL}
-    shot = torch.tensor([e.design for e in data.experiments], dtype=torch.float64)
+    shot = tensor([e.design for e in data.experiments])
     others = [effect for effect in data.offered if effect.family not in families(data.truth)]
     few = make_plan(shot, task)
     many = make_plan(torch.cat((shot, _spread_designs())), task)
@@ -180,7 +181,7 @@ def _spread_designs() -> torch.Tensor:
     """``25 x 2`` designs over the space: We evenly in its logarithm, R_inf* evenly."""
     (weber, rest), (most_weber, most_rest) = DesignSpace().bounds.tolist()
     along = torch.logspace(math.log10(weber), math.log10(most_weber), _ALONG, dtype=torch.float64)
-    return torch.cartesian_prod(along, torch.linspace(rest, most_rest, _ALONG, dtype=torch.float64))
+    return torch.cartesian_prod(along, linspace(rest, most_rest, _ALONG))
 
 
 def main() -> None:

@@ -19,26 +19,17 @@ import math
 import warnings
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-import torch
-
-from benchmarks.gap.sets import PHYSICS, TRUTHS, SyntheticSet, Task, make_set
+from benchmarks.gap.sets import PHYSICS, TRUTHS, Task, make_set
 from benchmarks.gap.verdicts import families, is_in_class, is_named, posterior_of, summarise
 from benchmarks.records import Figure, Line, read_record, run_missing_jobs, write_figures
 from imr_torch.errors import ConvergenceWarning
-from imr_torch.gap import GapReport, diagnose
-from imr_torch.gap.fits import fit_hypotheses
-from imr_torch.gap.held_out import judge_designs
-from imr_torch.gap.hypotheses import Hypothesis, Inquiry
-from imr_torch.gap.model_error import model_error
-from imr_torch.gap.shrinkage import shrinkage
-from imr_torch.material import LIBRARY
-from imr_torch.observe import ExperimentBatch, load_set
+from imr_torch.gap import diagnose
+from imr_torch.observe.sets import load_set
 from imr_torch.random import child
-from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator
+from imr_torch.simulate import ACCURACIES, TransportSimulator
 
 KINDS = ("none", "effect", "withheld")
 BINS = 5
@@ -50,12 +41,10 @@ def diagnose_set(task: Task) -> Line:
     """Make a set, diagnose it and judge the diagnosis."""
     warnings.simplefilter("ignore", ConvergenceWarning)  # certificates are in the line
     data = make_set(task)
-    simulator = task.simulator()
     seed = child(task.seed, "diagnosis", task.key)
-    report = diagnose(data.experiments, effects=data.offered, simulator=simulator, seed=seed)
+    report = diagnose(data.experiments, effects=data.offered, simulator=task.simulator(), seed=seed)
     line = {"truth": data.truth, "values": data.values, "signal": data.signal}
-    line |= summarise(report) | measure_shrinkage(data, report, simulator, seed)
-    return line | measure_parameters(data, report, seed)
+    return line | summarise(report)
 
 
 def diagnose_labelled_set(file: Path, effect: str) -> Line:
@@ -82,87 +71,6 @@ def run_labelled(folder: Path, out: Path, workers: int) -> list[Line]:
     return run_missing_jobs(out, jobs, about=about, workers=workers)
 
 
-def measure_shrinkage(
-    data: SyntheticSet, report: GapReport, simulator: Simulator, seed: int
-) -> Line:
-    """How far the right effect shrinks the gap on unseen designs: as stated, and of true curves.
-
-    A fit that the diagnosis gave up, since it was behind, is finished here. Nothing for a truth that
-    was not offered, or not fitted alone: that is a miss of the attribution.
-    """
-    if not report.found or report.attribution is None or data.truth == ():
-        return {}
-    (truth,) = data.truth
-    if truth not in report.steps[0].fits:
-        return {}
-    right = Hypothesis(report.base, (LIBRARY[truth],))
-    fit = report.steps[0].fits[truth]
-    if not fit.certificate.converged:
-        loose = child(seed, "loose")
-        inquiry = Inquiry(report.base, report.batch, simulator)
-        fit = fit_hypotheses(inquiry, [right], report.null, seed=loose)[truth]
-    told = replace(report, selected=right, selected_fit=fit)
-    unseen = ExperimentBatch(data.unseen, report.batch.noise)
-    judged = shrinkage(told, simulator, unseen, seed=child(seed, "shrinkage"))
-    if judged is None or judged.share is None:
-        return {}
-    pairs = judge_designs(told, simulator, data.unseen_without_noise(), seed=seed)
-    left = [
-        sum(float((p.projector @ held.residual).square().sum()) for p, held in rows)
-        for rows in ([(p, p.base) for p in pairs], [(p, p.effect) for p in pairs])
-    ]
-    return {
-        "shrinkage": judged.share,
-        "placebo": judged.placebo,
-        "shrinkage_true": 1.0 - left[1] / max(left[0], 1e-300),
-    }
-
-
-def measure_parameters(data: SyntheticSet, report: GapReport, seed: int) -> Line:
-    """Intervals of the gel's parameters over their true values: if the model is right, and with what
-    it may lack.
-    """
-    if not report.null.certificate.usable:
-        return {}
-    wide = model_error(report, seed=child(seed, "model error")).intervals
-    levels = torch.tensor((0.05, 0.5, 0.95), dtype=torch.float64)
-    quantiles = report.selected_fit.posterior.quantile(levels)
-    names = report.selected_fit.prior.names
-    right = {name: quantiles[:, names.index(name)].tolist() for name in wide}
-    return {
-        what: {name: [x / data.values[name] for x in values] for name, values in found.items()}
-        for what, found in (("if right", right), ("with model error", wide))
-    }
-
-
-def _held(lines: Sequence[Line], what: str) -> list[bool]:
-    """Whether each interval holds its truth."""
-    found = [values for line in lines for values in line.get(what, {}).values()]
-    return [low <= 1.0 <= high for low, _, high in found]
-
-
-def score_parameters(lines: Sequence[Line]) -> list[Figure]:
-    """Coverage of 90 % intervals of the gel's parameters, by what is wrong with the model."""
-    kinds = {
-        "no effect": [x for x in lines if x["kind"] == "none"],
-        "an effect of the library": [x for x in lines if x["kind"] == "effect"],
-        "effect withheld": [x for x in lines if x["kind"] == "withheld"],
-    }
-    figures = []
-    for kind, chosen in kinds.items():
-        for what in ("if right", "with model error"):
-            must = (0.85, 0.97) if what == "with model error" else None
-            head = f"G and mu in their intervals, {what}: {kind}"
-            figures.append(Figure.of_share(head, _held(chosen, what), must))
-        widths = [
-            math.log(high / low)
-            for line in chosen
-            for low, _, high in line.get("with model error", {}).values()
-        ]
-        figures.append(Figure.of_quantile(f"log width with model error, {kind}", widths, 0.5))
-    return figures
-
-
 def score_causes(lines: Sequence[Line]) -> list[Figure]:
     """All figures of a run."""
     known = [line for line in lines if line["kind"] == "effect"]
@@ -171,17 +79,12 @@ def score_causes(lines: Sequence[Line]) -> list[Figure]:
     named = [line for line in lines if is_named(line)]
     sizes = [float(len(set(line["cause"]) - set(line["selected"]))) for line in named]
     sure = [line for line in lines if line["kind"] != "none" and _top(line)[1] > _SURE]
-    judged = [line for line in lines if line.get("shrinkage") is not None]
-    closed = [line["shrinkage_true"] for line in judged]
-    covered = [x["shrinkage"][0] <= x["shrinkage_true"] <= x["shrinkage"][2] for x in judged]
     seconds = [line["seconds"] for line in lines if line.get("seconds") is not None]
     asked = [x for x in lines if x["kind"] != "none" and posterior_of(x)]
     alike = [x for x in hidden if (x.get("first") or {}).get("chance") is not None]
     alarms = [bool(line.get("gap")) for line in lines if line["kind"] == "none"]
     right = [is_in_class(line) for line in known if is_named(line)]
     wrong = [_top(line)[0] != families(line["truth"]) for line in sure]
-    random = [share for line in judged for share in line["placebo"]]
-    closes = "held-out gap closed by the right effect"
     return [
         Figure.of_share("false alarm", alarms, (0.0, 0.05)),
         Figure.of_share("an effect of the library is found", [bool(x.get("gap")) for x in known]),
@@ -208,11 +111,6 @@ def score_causes(lines: Sequence[Line]) -> list[Figure]:
             [(x["first"]["chance"], x["first"]["adequate"]) for x in alike],
             [x["kind"] for x in alike],
         ),
-        Figure.of_quantile(f"{closes}, median", closed, 0.5),
-        Figure.of_quantile(f"{closes}, 10th percentile", closed, 0.1, (0.8, 1.0)),
-        Figure.of_quantile("held-out gap closed by random effects, 95th percentile", random, 0.95),
-        Figure.of_share("true shrinkage inside its 90 % interval", covered, (0.82, 0.97)),
-        *score_parameters(lines),
         Figure.of_quantile("seconds of a diagnosis, median", seconds, 0.5, (0.0, 30.0)),
     ]
 

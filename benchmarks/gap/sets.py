@@ -8,13 +8,14 @@ or with another number of them (``modes``: 24 + 28).
 """
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
 
 from benchmarks.gap.signals import signals
 from imr_torch.errors import ConvergenceError, InputDataError
+from imr_torch.float64 import linspace, ones, rand, randn
 from imr_torch.gap import Effect, library
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, predict
@@ -33,7 +34,7 @@ KINDS = ("none", "effect", "withheld", "next")
 PHYSICS = ("polytropic", "transport")
 TRUTHS = ("reference", "modes")
 SHARP = Accuracy(1e-6, Resolution(24, 28), max_steps=100000)
-UNSEEN = 2  # designs beside those diagnosed, to judge shrinkage on
+_BESIDE = 2  # designs drawn and filmed beside those diagnosed, so that a seed's set stays the same
 
 GEL = {"G": (2e3, 15e3), "mu": (0.03, 0.3)}
 _WEBER = (100.0, 1000.0)
@@ -113,8 +114,6 @@ class SyntheticSet:
 
     Args:
         experiments: what the diagnosis sees.
-        unseen: further designs of the same gel.
-        curves: true curves of both, as filmed without noise: ``E x n_t`` tensor.
         truth: name of the effect that acts, in a tuple; empty without one.
         offered: the library of the diagnosis.
         values: true parameters beside neutral ones, SI.
@@ -123,22 +122,10 @@ class SyntheticSet:
     """
 
     experiments: tuple[Experiment, ...]
-    unseen: tuple[Experiment, ...]
-    curves: Tensor
     truth: tuple[str, ...]
     offered: tuple[Effect, ...]
     values: dict[str, float]
     signal: dict[str, float] = field(default_factory=dict)
-
-    def unseen_without_noise(self) -> ExperimentBatch:
-        """The unseen designs with the true curve in place of every repeat."""
-        rows = self.curves[len(self.experiments) :]
-        return ExperimentBatch(
-            tuple(
-                replace(e, radius=row.expand_as(e.radius))
-                for e, row in zip(self.unseen, rows, strict=True)
-            )
-        )
 
 
 def make_set(task: Task) -> SyntheticSet:
@@ -156,7 +143,7 @@ def make_set(task: Task) -> SyntheticSet:
 
 def _try(task: Task, source: torch.Generator) -> SyntheticSet | None:
     gel = {name: _log_uniform(bounds, source) for name, bounds in GEL.items()}
-    plan = make_plan(draw_designs(task.designs + UNSEEN, source), task)
+    plan = make_plan(draw_designs(task.designs + _BESIDE, source), task)
     known = library()
     chosen: dict[Effect, dict[str, float]] = {}
     signal: dict[str, float] = {}
@@ -173,12 +160,9 @@ def _try(task: Task, source: torch.Generator) -> SyntheticSet | None:
     filmed = film(values, plan, task, source)
     if filmed is None:
         return None
-    experiments, curves = filmed
     hidden = {effect.family for effect in chosen} if task.kind == "withheld" else set()
     return SyntheticSet(
-        experiments[: task.designs],
-        experiments[task.designs :],
-        curves,
+        filmed[: task.designs],
         tuple(effect.name for effect in chosen),
         tuple(effect for effect in known if effect.family not in hidden),
         values,
@@ -188,18 +172,13 @@ def _try(task: Task, source: torch.Generator) -> SyntheticSet | None:
 
 def film(
     values: dict[str, float], plan: ExperimentBatch, task: Task, source: torch.Generator
-) -> tuple[tuple[Experiment, ...], Tensor] | None:
-    """Shoot a plan: what the camera gives, and the true curves (``E x n_t``); None where a bubble
-    cannot be simulated.
-    """
-    shifts = (
-        torch.randn(1, len(plan.experiments), 3, generator=source, dtype=torch.float64)
-        * plan.nuisance_sds
-    )
+) -> tuple[Experiment, ...] | None:
+    """Shoot a plan: what the camera gives; None where a bubble cannot be simulated."""
+    shifts = randn(1, len(plan.experiments), 3, generator=source) * plan.nuisance_sds
     curves = predict(task.simulator(fine=True), PARAMETERS.pack(values)[None], plan, shifts)[0]
     if not bool(torch.isfinite(curves).all()):
         return None
-    filmed = tuple(
+    return tuple(
         Experiment(
             e.label,
             e.design,
@@ -209,7 +188,6 @@ def film(
         )
         for e, r in zip(plan.experiments, curves, strict=True)
     )
-    return filmed, curves
 
 
 def _one_of(effects: tuple[Effect, ...], source: torch.Generator) -> Effect:
@@ -218,16 +196,14 @@ def _one_of(effects: tuple[Effect, ...], source: torch.Generator) -> Effect:
 
 def _log_uniform(bounds: tuple[float, float], source: torch.Generator) -> float:
     low, high = map(math.log, bounds)
-    return math.exp(
-        low + (high - low) * float(torch.rand((), generator=source, dtype=torch.float64))
-    )
+    return math.exp(low + (high - low) * float(rand((), generator=source)))
 
 
 def draw_designs(count: int, source: torch.Generator) -> Tensor:
     """``count x 2`` random designs (We log-uniform, R_inf* uniform), none nearly another."""
     kept: list[Tensor] = []
     while len(kept) < count:
-        point = torch.rand(2, generator=source, dtype=torch.float64)
+        point = rand(2, generator=source)
         if all(float((point - other).norm()) >= _APART for other in kept):
             kept.append(point)
     unit = torch.stack(kept)
@@ -237,9 +213,9 @@ def draw_designs(count: int, source: torch.Generator) -> Tensor:
 
 def make_plan(designs: Tensor, task: Task) -> ExperimentBatch:
     """Experiments before they are shot."""
-    times = torch.linspace(0.0, 4.0, 81, dtype=torch.float64)
+    times = linspace(0.0, 4.0, 81)
     nuisance = FLOOR if task.nuisances else Nuisance()
-    blank = torch.ones(task.repeats, 81, dtype=torch.float64)
+    blank = ones(task.repeats, 81)
     pairs = [(weber, rest) for weber, rest in designs.tolist()]
     return ExperimentBatch(
         tuple(Experiment(f"design {i}", d, times, blank, nuisance) for i, d in enumerate(pairs))
@@ -252,7 +228,7 @@ def draw_effect(effect: Effect, source: torch.Generator) -> tuple[Effect, dict[s
     """
     values = {}
     for i, (name, prior) in enumerate(effect.priors.items()):
-        u = torch.randn((), generator=source, dtype=torch.float64)
+        u = randn((), generator=source)
         if i:
             values[name] = float(prior.to_physical(u))
             continue

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from torch import Tensor
 
+from imr_torch.float64 import eye, tensor
 from imr_torch.material import PARAMETERS, Effect
 from imr_torch.observe import ExperimentBatch, predict
 from imr_torch.simulate import Simulator
@@ -108,7 +109,7 @@ def _refit(
         return math.nan
 
     def place(x: Tensor) -> tuple[Tensor, Tensor]:
-        moved = torch.tensor(list(gel.values()), dtype=torch.float64) * x[:, : len(gel)].exp()
+        moved = tensor(list(gel.values())) * x[:, : len(gel)].exp()
         beside = [prior.to_physical(x[:, len(gel) + i]) for i, prior in enumerate(priors.values())]
         physical = torch.cat((moved, *(column[:, None] for column in beside)), 1)
         rows = torch.stack(
@@ -139,11 +140,9 @@ def _refit(
         )
         radius = predict(simulator, rows[None], plan, shifts[None], bundled=True)[0]
         moved = (radius[1:] - radius[0]) / _NUDGE
-        alone = (
-            torch.eye(experiments, dtype=torch.float64)[:, None, :, None] * moved[own:]
-        )  # E x C x E x T
+        alone = eye(experiments)[:, None, :, None] * moved[own:]  # E x C x E x T
         columns = whitened(curve + torch.cat((moved[:own], alone.flatten(0, 1)))).nan_to_num()
-        believed = torch.eye(len(x), dtype=torch.float64)[:, len(gel) :]
+        believed = eye(len(x))[:, len(gel) :]
         return torch.cat((columns, believed), 1).mT.numpy()
 
     farthest = np.repeat((_FARTHEST, _UNLIKELY, np.inf), (len(gel), len(priors), len(still) - own))

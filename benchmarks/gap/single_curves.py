@@ -37,6 +37,7 @@ from benchmarks.gap.verdicts import families, is_named
 from benchmarks.records import Job, Line, read_record, run_missing_jobs, write_table
 from imr_torch import characterize, wide_prior
 from imr_torch.errors import ImrError
+from imr_torch.float64 import linspace, ones, randn, tensor, zeros
 from imr_torch.gap import diagnose, library
 from imr_torch.gap.adequacy import adequacy_test
 from imr_torch.gap.fits import fit_null
@@ -140,8 +141,8 @@ def simulate_set(
     """
     source = generator(child(seed, "single curves", kind, number))
     names = [effect.name for effect in library()]
-    times = torch.linspace(0.0, LENGTH, _DENSE, dtype=torch.float64)
-    blank = torch.ones(1, _DENSE, dtype=torch.float64)
+    times = linspace(0.0, LENGTH, _DENSE)
+    blank = ones(1, _DENSE)
     while True:
         values = {
             name: low * (high / low) ** float(torch.rand((), generator=source))
@@ -155,10 +156,10 @@ def simulate_set(
             truth |= {"effect": effect.name, "values": drawn}
         designs = draw_designs(SHOTS, source).tolist()
         plan = [Experiment(f"{k}", tuple(d), times, blank, FLOOR) for k, d in enumerate(designs)]
-        draws = torch.randn(SHOTS, 3, generator=source, dtype=torch.float64)
-        logs = torch.zeros(SHOTS, len(GEL), dtype=torch.float64)
+        draws = randn(SHOTS, 3, generator=source)
+        logs = zeros(SHOTS, len(GEL))
         if kind == "gels":
-            logs = 0.3 * torch.randn(SHOTS, len(GEL), generator=source, dtype=torch.float64)
+            logs = 0.3 * randn(SHOTS, len(GEL), generator=source)
         clean = _solve_shots(plan, values, draws, logs)
         if bool(torch.isfinite(clean).all()):
             break
@@ -192,7 +193,7 @@ def trace(
     """A dimensionless curve as a laboratory stores it, perhaps with R_inf, impossible frames left
     out as the reader does.
     """
-    size = float(Surroundings().max_radius(torch.tensor(weber, dtype=torch.float64)))
+    size = float(Surroundings().max_radius(tensor(weber)))
     seen = radius * size > 1e-7
     given = (
         Given()

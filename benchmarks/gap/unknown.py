@@ -26,8 +26,8 @@ from torch import Tensor
 
 from benchmarks.gap.sets import PHYSICS, SyntheticSet, Task, make_set
 from benchmarks.records import Line, read_record, run_missing_jobs, write_table
-from imr_torch.gap.fits import fit_null
-from imr_torch.gap.hypotheses import Inquiry
+from imr_torch.float64 import arange, tensor
+from imr_torch.gap.hypotheses import fit_null
 from imr_torch.material import LIBRARY, PARAMETERS, TERMS, dimensionless, gel_response, wide_prior
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator, fewer_steps
@@ -97,7 +97,7 @@ def compare_pressures(
     surroundings = simulator.conditions.surroundings
     gels = (PARAMETERS.pack(data.values), fitted)
     for experiment, shot in zip(data.experiments, shots, strict=True):
-        weber, rest = torch.tensor(experiment.design, dtype=torch.float64)
+        weber, rest = tensor(experiment.design)
         size = surroundings.max_radius(weber)
         seconds = surroundings.time_scale(size)
         times = shot.times / seconds
@@ -125,7 +125,7 @@ def compare_pressures(
 def smooth(values: Tensor, width: float) -> Tensor:
     """Gaussian average, ``exp(-(t/width)^2)``, widths in samples."""
     reach = int(3.0 * width)
-    offsets = torch.arange(-reach, reach + 1, dtype=torch.float64)
+    offsets = arange(-reach, reach + 1)
     kernel = (-(offsets / width).square()).exp()
     padded = torch.nn.functional.pad(values[None, None], (reach, reach), mode="replicate")
     return torch.nn.functional.conv1d(padded, (kernel / kernel.sum())[None, None])[0, 0]

@@ -10,7 +10,6 @@ import sys
 import urllib.error
 import urllib.request
 import zipfile
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -57,9 +56,9 @@ class App:
 
 
 @pytest.fixture(scope="module")
-def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]:
+def address(tmp_path_factory):
     folder = tmp_path_factory.mktemp("application") / "gel"
-    command = [sys.executable, "-m", "imr_torch", "app", "--no-browser", "--out", str(folder)]
+    command = [sys.executable, *f"-m imr_torch app --no-browser --out {folder}".split()]
     outside = {
         name: value for name, value in os.environ.items() if not name.startswith("PYTEST")
     }  # NiceGUI looks at these
@@ -80,7 +79,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Pat
 
 
 @pytest.fixture(scope="module")
-def app(address: tuple[str, Path]) -> Iterator[App]:
+def app(address):
     with playwright.sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=BROWSER, args=FLAGS)
         page = browser.new_page(viewport={"width": 1280, "height": 900}, accept_downloads=True)
@@ -103,17 +102,17 @@ def app(address: tuple[str, Path]) -> Iterator[App]:
         browser.close()
 
 
-def test_that_nobody_gets_in_without_the_token(address: tuple[str, Path]) -> None:
+def test_that_nobody_gets_in_without_the_token(address):
     for path in ("", "?token=guess", "result/001_characterize/page"):
         with pytest.raises(urllib.error.HTTPError, match="403"):
             urllib.request.urlopen(address[0].partition("?")[0] + path)
 
 
-def test_that_the_token_does_not_stay_in_the_address(app: App) -> None:
+def test_that_the_token_does_not_stay_in_the_address(app):
     assert "token" not in app.page.url
 
 
-def test_that_bad_files_are_named_and_good_ones_read(app: App, tmp_path: Path) -> None:
+def test_that_bad_files_are_named_and_good_ones_read(app, tmp_path):
     (tmp_path / "bad.csv").write_text("time,radius\n0,1\n")
     files = [tmp_path / "bad.csv", example_gel(), example_gel().with_suffix(".json")]
     app.page.set_input_files("input[type=file]", files)
@@ -132,7 +131,7 @@ def override(app: App) -> dict[str, float]:
     return next((entry["override"] for entry in entries if "override" in entry), {})
 
 
-def test_that_a_line_can_be_moved_and_a_value_typed_and_both_taken_back(app: App) -> None:
+def test_that_a_line_can_be_moved_and_a_value_typed_and_both_taken_back(app):
     app.tab("Curves")
     app.sees(re.compile(r"shot_1: Rmax .* \(as given\)"))
     line = app.page.locator('.shapelayer path[data-index="2"]')  # R_inf
@@ -155,7 +154,7 @@ def test_that_a_line_can_be_moved_and_a_value_typed_and_both_taken_back(app: App
     assert override(app) == {}
 
 
-def test_that_the_medium_is_stated_and_a_wrong_one_refused(app: App) -> None:
+def test_that_the_medium_is_stated_and_a_wrong_one_refused(app):
     app.tab("Medium")
     field = app.page.get_by_label("density (kg/m^3)", exact=True)
     field.fill("1")
@@ -175,9 +174,7 @@ def run(app: App) -> None:
     app.page.get_by_role("button", name="See the result").wait_for()
 
 
-def test_that_a_gel_is_characterised_and_the_page_read_and_everything_downloaded(
-    app: App, tmp_path: Path
-) -> None:
+def test_that_a_gel_is_characterised_and_the_page_read_and_everything_downloaded(app, tmp_path):
     app.tab("Run")
     for name in ("newtonian", "gen_qkv"):
         app.page.locator(".q-chip", has_text=re.compile(f"^{name}")).locator(
@@ -201,7 +198,7 @@ def test_that_a_gel_is_characterised_and_the_page_read_and_everything_downloaded
     assert {"page.html", "characterize.json", "report.txt", "run.json", "output.txt"} <= names
 
 
-def test_that_the_next_design_builds_on_the_result(app: App) -> None:
+def test_that_the_next_design_builds_on_the_result(app):
     app.tab("Run")
     app.page.get_by_role("button", name="Next design").click()
     app.sees(re.compile(r"design .*--belief results/001_characterize/characterize\.json"))
@@ -213,7 +210,7 @@ def test_that_the_next_design_builds_on_the_result(app: App) -> None:
     assert len(design["evaluations"]) == 3
 
 
-def test_that_a_run_can_be_stopped(app: App) -> None:
+def test_that_a_run_can_be_stopped(app):
     app.tab("Run")
     app.page.get_by_role("button", name="Diagnose").click()
     app.sees(re.compile(r"imr-torch diagnose files"))
@@ -225,7 +222,7 @@ def test_that_a_run_can_be_stopped(app: App) -> None:
 
 @pytest.mark.parametrize("width", [400, 1280])
 @pytest.mark.parametrize("name", ["Files", "Curves", "Medium", "Run", "Results"])
-def test_that_no_tab_is_wider_than_the_screen(app: App, name: str, width: int) -> None:
+def test_that_no_tab_is_wider_than_the_screen(app, name, width):
     app.page.set_viewport_size({"width": width, "height": 900})
     app.tab(name)
     with contextlib.suppress(playwright.TimeoutError):  # it takes a moment until all is drawn
@@ -236,7 +233,7 @@ def test_that_no_tab_is_wider_than_the_screen(app: App, name: str, width: int) -
     assert app.page.evaluate("document.documentElement.scrollWidth") <= width
 
 
-def test_that_all_tabs_are_in_sight_on_a_narrow_screen(app: App) -> None:
+def test_that_all_tabs_are_in_sight_on_a_narrow_screen(app):
     app.page.set_viewport_size({"width": 400, "height": 900})
     boxes = [tab.bounding_box() for tab in app.page.get_by_role("tab").all()]
     assert len(boxes) == 5
@@ -246,6 +243,6 @@ def test_that_all_tabs_are_in_sight_on_a_narrow_screen(app: App) -> None:
         assert box["x"] + box["width"] <= 400.0
 
 
-def test_that_nothing_was_loaded_from_elsewhere_and_nothing_failed_in_the_browser(app: App) -> None:
+def test_that_nothing_was_loaded_from_elsewhere_and_nothing_failed_in_the_browser(app):
     assert app.hosts <= {app.address.split("/")[2], ""}
     assert app.errors == []

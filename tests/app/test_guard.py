@@ -35,9 +35,7 @@ HERE = {"host": f"127.0.0.1:{PORT}"}
 COOKIE = {"cookie": f"other=1; imr_torch_{PORT}={TOKEN}"}
 
 
-def test_that_the_link_sets_a_cookie_that_scripts_and_other_sites_do_not_get_and_leaves_the_token_out() -> (
-    None
-):
+def test_that_the_link_sets_a_cookie_that_scripts_and_other_sites_do_not_get_and_leaves_the_token_out():
     start = ask(HERE, f"token={TOKEN}")[0]
     headers = dict(start["headers"])
     assert (start["status"], headers[b"location"]) == (303, b"/")
@@ -47,7 +45,7 @@ def test_that_the_link_sets_a_cookie_that_scripts_and_other_sites_do_not_get_and
 
 
 @pytest.mark.parametrize("kind", ["http", "websocket"])
-def test_that_the_cookie_opens(kind: str) -> None:
+def test_that_the_cookie_opens(kind):
     first = ask(HERE | COOKIE | {"origin": f"http://127.0.0.1:{PORT}"}, kind=kind)[0]
     assert first.get("status", 200) == 200
     assert first["type"] in ("http.response.start", "websocket.accept")
@@ -67,16 +65,16 @@ def test_that_the_cookie_opens(kind: str) -> None:
         (HERE | COOKIE | {"origin": "null"}, ""),
     ],
 )
-def test_that_everything_else_is_refused(headers: dict[str, str], query: str, kind: str) -> None:
+def test_that_everything_else_is_refused(headers, query, kind):
     (first, *_) = ask(headers, query, kind)
     assert first.get("status", first.get("code")) == (403 if kind == "http" else 1008)
 
 
-def test_that_a_websocket_needs_the_cookie_even_with_the_token() -> None:
+def test_that_a_websocket_needs_the_cookie_even_with_the_token():
     assert ask(HERE, f"token={TOKEN}", "websocket")[0]["code"] == 1008
 
 
-def test_that_pages_may_load_nothing_from_elsewhere_and_a_stricter_policy_stays() -> None:
+def test_that_pages_may_load_nothing_from_elsewhere_and_a_stricter_policy_stays():
     headers = dict(ask(HERE | COOKIE)[0]["headers"])
     assert b"default-src 'self'" in headers[b"content-security-policy"]
     assert b"http:" not in headers[b"content-security-policy"]

@@ -37,17 +37,9 @@ def simulate(folder: str) -> list[str]:
 
 
 def slow(folder: str) -> list[str]:
-    return [
-        "design",
-        "--case",
-        "stiff-pa",
-        "--evaluations",
-        "400",
-        "--physics",
-        "polytropic",
-        "--json",
-        f"{folder}/design.json",
-    ]
+    return (
+        f"design --case stiff-pa --evaluations 400 --physics polytropic --json {folder}/design.json"
+    ).split()
 
 
 def begun(all_runs: Runs, arguments: Callable[[str], list[str]], kind: str) -> Run:
@@ -61,7 +53,7 @@ def finished(run: Run) -> None:
     assert not run.is_alive()
 
 
-def test_that_a_refused_command_keeps_its_message(tmp_path: Path) -> None:
+def test_that_a_refused_command_keeps_its_message(tmp_path):
     all_runs = runs(tmp_path)
     finished(begun(all_runs, lambda _: ["characterize", "files/none.csv"], "characterize"))
     (result,) = all_runs.list_results()
@@ -84,7 +76,7 @@ class Seen:
 
 
 @pytest.fixture(scope="module")
-def seen(tmp_path_factory: pytest.TempPathFactory) -> Seen:
+def seen(tmp_path_factory):
     """Each run loads the libraries anew, so that few serve several tests."""
     all_runs = runs(tmp_path_factory.mktemp("runs"))
     first = begun(all_runs, slow, "design")
@@ -107,14 +99,14 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Seen:
     return Seen(all_runs, part, waiting, before, ended, second.folder)
 
 
-def test_that_a_run_shows_progress_and_can_be_stopped(seen: Seen) -> None:
+def test_that_a_run_shows_progress_and_can_be_stopped(seen):
     assert seen.part is not None
     assert 0.0 < seen.part < 1.0
     (result,) = [x for x in seen.runs.list_results() if x.name == "001_design"]
     assert (result.status, result.outcome) == (130, "stopped")
 
 
-def test_that_runs_wait_for_those_before_them_and_can_be_taken_back(seen: Seen) -> None:
+def test_that_runs_wait_for_those_before_them_and_can_be_taken_back(seen):
     assert seen.waiting == ["002_simulate", "007_simulate"]
     assert seen.before == []
     names = ("001_design", "002_simulate", "007_simulate")
@@ -122,7 +114,7 @@ def test_that_runs_wait_for_those_before_them_and_can_be_taken_back(seen: Seen) 
     assert not (seen.taken_back / "simulate.json").exists()
 
 
-def test_that_a_run_leaves_its_files_output_and_record(seen: Seen) -> None:
+def test_that_a_run_leaves_its_files_output_and_record(seen):
     (result,) = [x for x in seen.runs.list_results() if x.name == "007_simulate"]
     assert (result.status, result.outcome) == (0, "done")
     assert "smallest sampled R*" in result.read_text_of("output.txt")
@@ -132,7 +124,7 @@ def test_that_a_run_leaves_its_files_output_and_record(seen: Seen) -> None:
         assert json.loads(file.read("007_simulate/simulate.json"))["model"] == "nhkv"
 
 
-def test_that_a_run_goes_on_in_an_earlier_folder_where_it_is_told_to(seen: Seen) -> None:
+def test_that_a_run_goes_on_in_an_earlier_folder_where_it_is_told_to(seen):
     all_runs = seen.runs
     all_runs.add_run(simulate, "simulate", "results/007_simulate")
     assert all_runs.current is not None
@@ -140,7 +132,7 @@ def test_that_a_run_goes_on_in_an_earlier_folder_where_it_is_told_to(seen: Seen)
     assert sorted(result.name for result in all_runs.list_results()) == sorted(seen.ended)
 
 
-def test_that_a_run_stopped_before_it_began_leaves_no_trace_of_its_code(tmp_path: Path) -> None:
+def test_that_a_run_stopped_before_it_began_leaves_no_trace_of_its_code(tmp_path):
     all_runs = runs(tmp_path)
     run = begun(all_runs, slow, "design")
     run.stop()
@@ -153,7 +145,7 @@ def test_that_a_run_stopped_before_it_began_leaves_no_trace_of_its_code(tmp_path
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs a system with signals")
-def test_that_a_run_that_the_system_ended_is_not_called_stopped(tmp_path: Path) -> None:
+def test_that_a_run_that_the_system_ended_is_not_called_stopped(tmp_path):
     all_runs = runs(tmp_path)
     run = begun(all_runs, slow, "design")
     os.kill(run._process.pid, signal.SIGKILL)
@@ -162,7 +154,7 @@ def test_that_a_run_that_the_system_ended_is_not_called_stopped(tmp_path: Path) 
     assert result.outcome == "ended by the system (signal 9); it may have run out of memory"
 
 
-def test_that_a_run_that_ended_with_the_application_is_known_as_interrupted(tmp_path: Path) -> None:
+def test_that_a_run_that_ended_with_the_application_is_known_as_interrupted(tmp_path):
     folder = tmp_path / "results" / "007_diagnose"
     folder.mkdir(parents=True)
     (folder / "run.json").write_text(
@@ -218,7 +210,7 @@ def test_that_a_run_that_ended_with_the_application_is_known_as_interrupted(tmp_
         ),
     ],
 )
-def test_that_a_form_makes_arguments_that_the_command_takes(command: str, values: dict) -> None:
+def test_that_a_form_makes_arguments_that_the_command_takes(command, values):
     files = [] if command == "design" else ["files/a.csv", "files/b.csv"]
     words = command_arguments(command, list_defaults(command) | values, "results/001", files=files)
     read = vars(build_parser().parse_args(words))
@@ -235,9 +227,7 @@ def arguments_of(command: str, values: dict) -> list[str]:
 
 
 @pytest.mark.parametrize("command", FORMS)
-def test_that_options_left_out_are_those_that_say_what_the_command_does_anyhow(
-    command: str,
-) -> None:
+def test_that_options_left_out_are_those_that_say_what_the_command_does_anyhow(command):
     read = vars(build_parser().parse_args(arguments_of(command, {})))
     defaults = list_defaults(command)
     for name in (
@@ -250,7 +240,7 @@ def test_that_options_left_out_are_those_that_say_what_the_command_does_anyhow(
     ("command", "preset"),
     [(command, name) for command, form in FORMS.items() for name in form.presets],
 )
-def test_that_a_preset_can_be_run(command: str, preset: str) -> None:
+def test_that_a_preset_can_be_run(command, preset):
     values = FORMS[command].presets[preset]
     read = vars(build_parser().parse_args(arguments_of(command, values)))
     for name, value in values.items():
@@ -268,7 +258,7 @@ def test_that_a_preset_can_be_run(command: str, preset: str) -> None:
         ("campaign", {"tell": ["files/a.csv", "files/b.csv"], "stop": "G:5%,mu:5%"}),
     ],
 )
-def test_that_the_options_of_a_run_are_read_back_as_they_were(command: str, values: dict) -> None:
+def test_that_the_options_of_a_run_are_read_back_as_they_were(command, values):
     read = read_arguments(arguments_of(command, values))
     for name, value in values.items():
         assert read[name] == value
@@ -277,13 +267,13 @@ def test_that_the_options_of_a_run_are_read_back_as_they_were(command: str, valu
 
 
 @pytest.mark.parametrize("command", FORMS)
-def test_that_every_option_of_a_command_is_in_its_form_or_that_of_the_folder(command: str) -> None:
+def test_that_every_option_of_a_command_is_in_its_form_or_that_of_the_folder(command):
     shown = {name for row in FORMS[command].rows for name in row}
     assert shown <= OPTIONS[command].keys()
     assert not shown & OF_THE_FOLDER
 
 
-def test_that_a_campaign_goes_on_in_its_folder() -> None:
+def test_that_a_campaign_goes_on_in_its_folder():
     values = {"continued": "results/003_campaign", "tell": ["files/shot.csv"]}
     words = command_arguments("campaign", values, "results/003_campaign")
     assert words == [
@@ -292,7 +282,7 @@ def test_that_a_campaign_goes_on_in_its_folder() -> None:
     ]
 
 
-def test_that_the_shots_of_a_batch_are_rows_with_numbers_that_can_be_read(tmp_path: Path) -> None:
+def test_that_the_shots_of_a_batch_are_rows_with_numbers_that_can_be_read(tmp_path):
     folder = tmp_path / "results" / "001_batch"
     folder.mkdir(parents=True)
     (folder / "batch.json").write_text('{"shots": [{"shot": "a", "curves": 1, "G": 8123.456789}]}')

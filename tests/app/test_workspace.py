@@ -29,12 +29,12 @@ def workspace(tmp_path: Path) -> Workspace:
         ("gel.csv", LARGEST_FILE + 1, "bytes; expected 1 to"),
     ],
 )
-def test_that_names_and_sizes_are_checked(name: str, size: int, text: str) -> None:
+def test_that_names_and_sizes_are_checked(name, size, text):
     with pytest.raises(InputDataError, match=text):
         check_name(name, size)
 
 
-def test_that_no_name_leaves_the_folder(tmp_path: Path) -> None:
+def test_that_no_name_leaves_the_folder(tmp_path):
     made = workspace(tmp_path)
     made.add_file("../../elsewhere/a.csv", b"x")
     made.add_file("C:\\gels\\b.csv", b"x")
@@ -47,7 +47,7 @@ def test_that_no_name_leaves_the_folder(tmp_path: Path) -> None:
     assert not (tmp_path / "elsewhere").exists()
 
 
-def test_that_a_file_that_cannot_be_used_is_named_and_costs_no_other(tmp_path: Path) -> None:
+def test_that_a_file_that_cannot_be_used_is_named_and_costs_no_other(tmp_path):
     made = workspace(tmp_path)
     made.add_file("bad.csv", b"time,radius\n0,1\n")
     bad, good = made.list_files()
@@ -58,7 +58,7 @@ def test_that_a_file_that_cannot_be_used_is_named_and_costs_no_other(tmp_path: P
     assert len(made.load_curves()) == 4
 
 
-def test_that_a_replaced_file_is_set_aside(tmp_path: Path) -> None:
+def test_that_a_replaced_file_is_set_aside(tmp_path):
     made = workspace(tmp_path)
     before = (made.files_folder / "example_gel.csv").read_bytes()
     assert made.add_file("example_gel.csv", before) == "example_gel.csv is there already."
@@ -68,14 +68,14 @@ def test_that_a_replaced_file_is_set_aside(tmp_path: Path) -> None:
     assert kept.read_bytes() == before
 
 
-def test_that_what_is_taken_out_is_kept_with_the_json_beside_it(tmp_path: Path) -> None:
+def test_that_what_is_taken_out_is_kept_with_the_json_beside_it(tmp_path):
     made = workspace(tmp_path)
     made.take_out("example_gel.csv")
     assert not list(made.files_folder.iterdir())
     assert len(list((made.folder / "set_aside").iterdir())) == 2
 
 
-def test_that_a_folder_is_found_again_as_it_was_left(tmp_path: Path) -> None:
+def test_that_a_folder_is_found_again_as_it_was_left(tmp_path):
     made = workspace(tmp_path)
     made.change_setting("medium", "water,temperature=310")
     made.change_setting("layout", "")
@@ -84,7 +84,7 @@ def test_that_a_folder_is_found_again_as_it_was_left(tmp_path: Path) -> None:
     assert again.find_medium().surroundings.temperature == 310.0
 
 
-def test_that_wrong_statements_change_nothing(tmp_path: Path) -> None:
+def test_that_wrong_statements_change_nothing(tmp_path):
     made = workspace(tmp_path)
     with pytest.raises(InputDataError, match="density is 1; expected"):
         made.change_setting("medium", "density=1")
@@ -93,7 +93,7 @@ def test_that_wrong_statements_change_nothing(tmp_path: Path) -> None:
     assert made.settings == {"layout": "", "medium": ""}
 
 
-def test_that_a_curve_is_shown_as_the_commands_fit_it(tmp_path: Path) -> None:
+def test_that_a_curve_is_shown_as_the_commands_fit_it(tmp_path):
     made = workspace(tmp_path)
     view = made.view_curve("shot_2", 2)
     prepared = prepare(load_traces(example_gel()).select(["shot_2"]))
@@ -102,7 +102,7 @@ def test_that_a_curve_is_shown_as_the_commands_fit_it(tmp_path: Path) -> None:
     assert view.report == prepared.report().splitlines()[1].strip()
 
 
-def test_that_what_is_stated_is_what_the_commands_read(tmp_path: Path) -> None:
+def test_that_what_is_stated_is_what_the_commands_read(tmp_path):
     made = workspace(tmp_path)
     view = made.view_curve("shot_2", 2)
     made.state_values(view, {"Rinf_m": 6e-5, "Rinf_sd_m": 1e-6})

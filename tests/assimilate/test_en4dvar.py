@@ -3,7 +3,7 @@ past small local minima.
 """
 
 import pytest
-import torch
+from torch.testing import assert_close
 
 from imr_torch.assimilate import (
     En4DVarOptions,
@@ -13,6 +13,7 @@ from imr_torch.assimilate import (
     weigh,
 )
 from imr_torch.errors import ConvergenceError, InputDataError
+from imr_torch.float64 import linspace, rand, randn
 from imr_torch.material import PARAMETERS, Belief, reference_case
 from imr_torch.observe import ExperimentBatch, Noise, Nuisance, SimulatedLaboratory
 from imr_torch.random import child, generator
@@ -21,7 +22,6 @@ from tests.linear import (
     BOTH,
     CORRELATED,
     MEANS,
-    NOISE,
     SDS,
     LinearSimulator,
     exact,
@@ -40,9 +40,7 @@ BATCHES = {
 
 @pytest.mark.parametrize("members", [10, 48])
 @pytest.mark.parametrize("batch", BATCHES.values(), ids=BATCHES.keys())
-def test_that_the_posterior_of_a_linear_simulator_is_exact(
-    batch: ExperimentBatch, members: int
-) -> None:
+def test_that_the_posterior_of_a_linear_simulator_is_exact(batch, members):
     """Whatever the ensemble, as long as it has more members than an experiment has unknowns."""
     belief = prior()
     found = assimilate_en4dvar(
@@ -51,62 +49,35 @@ def test_that_the_posterior_of_a_linear_simulator_is_exact(
     assert found.converged
     for part, fit in zip(belief.models, found.fits, strict=True):
         truth = exact(part, batch)
-        torch.testing.assert_close(fit.mean, truth.mean, rtol=0.0, atol=1e-6)
-        torch.testing.assert_close(fit.chol @ fit.chol.mT, truth.covariance, rtol=1e-6, atol=1e-9)
-        torch.testing.assert_close(fit.nuisances, truth.nuisances, rtol=0.0, atol=1e-6)
+        assert_close(fit.mean, truth.mean, rtol=0.0, atol=1e-6)
+        assert_close(fit.chol @ fit.chol.mT, truth.covariance, rtol=1e-6, atol=1e-9)
+        assert_close(fit.nuisances, truth.nuisances, rtol=0.0, atol=1e-6)
 
 
-def test_that_one_update_is_two_updates_in_turn() -> None:
-    belief = prior(("nhkv",))
-    batch = experiments(4)
-    first, second = (
-        ExperimentBatch(part, NOISE) for part in (batch.experiments[:1], batch.experiments[1:])
-    )
-    together = assimilate_en4dvar(belief, batch, LinearSimulator(), seed=0).fits[0]
-    halfway = assimilate_en4dvar(belief, first, LinearSimulator(), seed=0).fits[0].posterior
-    in_turn = assimilate_en4dvar(
-        Belief((halfway,), tensor(0.0)), second, LinearSimulator(), seed=1
-    ).fits[0]
-    torch.testing.assert_close(together.posterior.mean, in_turn.posterior.mean, rtol=0.0, atol=1e-6)
-    torch.testing.assert_close(
-        together.posterior.chol, in_turn.posterior.chol, rtol=1e-6, atol=1e-9
-    )
-
-
-def test_that_members_that_fail_leave_the_answer_and_too_many_are_an_error() -> None:
+def test_that_members_that_fail_leave_the_answer_and_too_many_are_an_error():
     belief = prior(("nhkv",))
     batch = experiments(3)
     truth = exact(belief.models[0], batch)
     limit = MEANS["G"] + SDS["G"] * (float(truth.mean[0]) + 2.0)
     fit = assimilate_en4dvar(belief, batch, LinearSimulator(limit={"G": limit}), seed=0).fits[0]
-    torch.testing.assert_close(fit.mean, truth.mean, rtol=0.0, atol=1e-6)
+    assert_close(fit.mean, truth.mean, rtol=0.0, atol=1e-6)
     with pytest.raises(ConvergenceError, match="nhkv: 0 of 48 members could be simulated"):
         assimilate_en4dvar(belief, batch, LinearSimulator(fails=True), seed=0)
 
 
-def test_that_the_same_seed_gives_the_same_bits() -> None:
-    belief = prior(("nhkv",))
-    batch = experiments(3, nuisance=BOTH)
-    one, same, other = (
-        assimilate_en4dvar(belief, batch, LinearSimulator(), seed=s).fits[0] for s in (0, 0, 1)
-    )
-    assert torch.equal(one.mean, same.mean)
-    assert not torch.equal(one.mean, other.mean)
-
-
-@pytest.mark.parametrize("number", range(10))
-def test_that_its_posterior_agrees_with_the_default_once_weighted(number: int) -> None:
-    """Ten gels of the soft-PA prior, designs and nuisances drawn: means within a third of an sd,
+@pytest.mark.parametrize("number", range(4))
+def test_that_its_posterior_agrees_with_the_default_once_weighted(number):
+    """Four gels of the soft-PA prior, designs and nuisances drawn: means within a third of an sd,
     sds within a quarter.
     """
     part = reference_case("soft-pa").prior.models[0]
     belief = Belief((part,), tensor(0.0))
     source = generator(child(0, number))
-    gel = part.to_si(0.7 * torch.randn(len(part.names), generator=source, dtype=torch.float64))
-    unit = torch.rand(2, generator=source, dtype=torch.float64)
+    gel = part.to_si(0.7 * randn(len(part.names), generator=source))
+    unit = rand(2, generator=source)
     design = tensor(150.0, 0.16) + unit * tensor(700.0, 0.12)
     nuisance = Nuisance(time_zero=0.01, rest_radius=0.02) if number % 2 else Nuisance()
-    times = torch.linspace(0.0, 2.0, 41, dtype=torch.float64)
+    times = linspace(0.0, 2.0, 41)
     simulator = PolytropicSimulator()
     laboratory = SimulatedLaboratory(
         simulator, gel, repeats=4, times=times, noise=Noise(), nuisance=nuisance
@@ -127,21 +98,20 @@ def test_that_its_posterior_agrees_with_the_default_once_weighted(number: int) -
     ("changes", "message"),
     [
         ({"members": 7}, r"En4DVarOptions.members is 7; expected an even number of at least 8"),
-        ({"members": 6}, r"En4DVarOptions.members is 6"),
         ({"iterations": 0}, r"iterations 0 and cycles 3; expected at least 1"),
         ({"relaxation": 1.5}, r"En4DVarOptions.relaxation is 1.5; expected a share in \[0, 1\]"),
     ],
 )
-def test_that_bad_options_are_named(changes: dict, message: str) -> None:
+def test_that_bad_options_are_named(changes, message):
     with pytest.raises(InputDataError, match=message):
         En4DVarOptions(**changes)
 
 
-def test_that_a_search_from_an_earlier_fit_stays_there() -> None:
+def test_that_a_search_from_an_earlier_fit_stays_there():
     belief = prior(("nhkv",))
     batch = experiments(3, nuisance=BOTH)
     first = assimilate_en4dvar(belief, batch, LinearSimulator(), seed=0)
     again = assimilate_en4dvar(belief, batch, LinearSimulator(), seed=1, near=first)
-    torch.testing.assert_close(again.fits[0].mean, first.fits[0].mean, rtol=0.0, atol=1e-6)
+    assert_close(again.fits[0].mean, first.fits[0].mean, rtol=0.0, atol=1e-6)
     assert "cycles agree within" in str(again.fits[0].certificate)
     assert PARAMETERS.names[0] == "G"

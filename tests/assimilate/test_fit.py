@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from imr_torch.assimilate import Assimilation, ModelFit, SearchOptions, assimilate
+from imr_torch.assimilate import Assimilation, SearchOptions, assimilate
 from imr_torch.errors import InputDataError
 from imr_torch.observe import ExperimentBatch, Noise, Nuisance
 from tests.linear import LinearSimulator, experiments, prior
@@ -15,7 +15,7 @@ SIMULATOR = LinearSimulator()
 
 
 @pytest.fixture(scope="module")
-def fit() -> ModelFit:
+def fit():
     options = SearchOptions(raw_samples=24, starts=2)
     return assimilate(prior(("nhkv",)), BATCH, SIMULATOR, seed=1, options=options).fits[0]
 
@@ -31,9 +31,7 @@ def _count(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
     return len(calls)
 
 
-def test_that_another_noise_takes_no_bubbles_and_gives_the_same_equations(
-    fit: ModelFit, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_that_another_noise_takes_no_bubbles_and_gives_the_same_equations(fit, monkeypatch):
     noisier = replace(BATCH, noise=Noise(scale=3.0))
     assert _count(monkeypatch, fit, noisier, SIMULATOR) == 0
     handed = fit.linearise(noisier, SIMULATOR).equations
@@ -44,9 +42,7 @@ def test_that_another_noise_takes_no_bubbles_and_gives_the_same_equations(
         )
 
 
-def test_that_other_points_frames_and_simulators_are_simulated(
-    fit: ModelFit, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_that_other_points_frames_and_simulators_are_simulated(fit, monkeypatch):
     moved = replace(fit, mean=fit.mean + 0.1)
     first = BATCH.experiments[0]
     later = replace(first, times=first.times + 0.01)
@@ -57,7 +53,7 @@ def test_that_other_points_frames_and_simulators_are_simulated(
     assert _count(monkeypatch, fit, BATCH, LinearSimulator()) == 1
 
 
-def test_that_an_unknown_model_is_named_with_those_that_there_are(fit: ModelFit) -> None:
+def test_that_an_unknown_model_is_named_with_those_that_there_are(fit):
     fits = Assimilation(prior(("nhkv",)), BATCH, (fit,))
     assert fits["nhkv"] is fit
     with pytest.raises(InputDataError, match=r"'gen_qkv' is not part .* holds nhkv"):

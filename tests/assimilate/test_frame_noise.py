@@ -12,15 +12,16 @@ from scipy.stats import kstest
 
 from imr_torch.assimilate import FIRST_KINK, FrameNoisePrior, Posterior, infer_frame_noise
 from imr_torch.assimilate.forward import Point
-from imr_torch.assimilate.matern import MATERN, _compile_filter, _filter_curves, matern_whitened
+from imr_torch.assimilate.matern import _compile_filter, _filter_curves, matern_whitened
 from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.assimilate.spikes import frames_left_out, without_spoilt_frames
+from imr_torch.float64 import arange, linspace, ones, randn, zeros
 from imr_torch.gap import LIBRARY
 from imr_torch.gap.adequacy import adequacy_test
 from imr_torch.goodness.linear import whiten_rows
 from imr_torch.goodness.score import LEVEL, gap_test, make_block
 from imr_torch.material import PARAMETERS
-from imr_torch.observe import Experiment, ExperimentBatch, Noise, NoiseLaws, predict
+from imr_torch.observe import Experiment, ExperimentBatch, Noise, predict
 from imr_torch.random import generator
 from tests.gap.synthetic import BASE, DESIGNS, GEL, SIMULATOR, fit
 from tests.linear import LinearSimulator, tensor
@@ -38,11 +39,9 @@ def curves(
     """Three single curves of a gel, perhaps with an effect, and their true noise by curve."""
     source = generator(seed)
     experiments = []
-    times = torch.arange(0.0, 2.6, spacing, dtype=torch.float64)
+    times = arange(0.0, 2.6, spacing)
     for design, factor in zip(DESIGNS, factors, strict=True):
-        blank = Experiment(
-            f"{design}", design, times, torch.ones(1, len(times), dtype=torch.float64)
-        )
+        blank = Experiment(f"{design}", design, times, ones(1, len(times)))
         truth = predict(
             SIMULATOR, PARAMETERS.pack(GEL | (effect or {}))[None], ExperimentBatch((blank,))
         )[0, 0]
@@ -70,7 +69,7 @@ def smooth(
     """A deviation whose correlation falls to 1/e over a lag."""
     covariance = torch.exp(-0.5 * ((times[:, None] - times) / (lag / math.sqrt(2.0))).square())
     root = torch.linalg.cholesky(covariance + 1e-8 * torch.eye(len(times)))
-    return size * root @ torch.randn(len(times), generator=source, dtype=torch.float64)
+    return size * root @ randn(len(times), generator=source)
 
 
 def with_slow_noise(batch: ExperimentBatch, size: float, seed: int = 5) -> ExperimentBatch:
@@ -80,8 +79,8 @@ def with_slow_noise(batch: ExperimentBatch, size: float, seed: int = 5) -> Exper
 
 
 def test_that_curves_are_filtered_where_no_folder_can_be_written(monkeypatch):
-    times, one = torch.tensor([[0.0, 0.1]]).double(), torch.ones(1, dtype=torch.float64)
-    given = times, times > -1.0, torch.ones(1, 1, 2, dtype=torch.float64), one, one, times[None]
+    times, one = tensor([0.0, 0.1]), ones(1)
+    given = times, times > -1.0, ones(1, 1, 2), one, one, times[None]
     expected = matern_whitened(*given)
     monkeypatch.setattr("numba.core.caching.CacheImpl._locator_classes", [])
     with pytest.raises(RuntimeError, match="cannot cache"):
@@ -89,31 +88,6 @@ def test_that_curves_are_filtered_where_no_folder_can_be_written(monkeypatch):
     monkeypatch.setattr("imr_torch.assimilate.matern._compile_filter", _compile_filter.__wrapped__)
     for found, kept in zip(matern_whitened(*given), expected, strict=True):
         assert torch.equal(found, kept)
-
-
-def test_that_columns_are_whitened_as_by_dense_algebra():
-    source = generator(0)
-    times = torch.rand(2, 12, generator=source, dtype=torch.float64).cumsum(1)
-    mask = torch.ones(2, 12, dtype=torch.bool)
-    mask[1, 9:] = False
-    noise = 0.1 + torch.rand(1, 2, 12, generator=source, dtype=torch.float64)
-    columns = torch.randn(3, 2, 12, generator=source, dtype=torch.float64)
-    variance = tensor(0.7)
-    rate = tensor(2.3)
-    seen, log_det = matern_whitened(times, mask, noise, variance, rate, columns)
-    for row in range(2):
-        used = mask[row]
-        lag = rate * (times[row, used][:, None] - times[row, used]).abs()
-        covariance = variance * (1.0 + lag) * torch.exp(-lag) + torch.diag(noise[0, row, used])
-        root = torch.linalg.cholesky(covariance)
-        expected = torch.linalg.solve_triangular(root, columns[:, row, used].mT, upper=False).mT
-        torch.testing.assert_close(seen[0, :, row, used], expected)
-        torch.testing.assert_close(log_det[0, row], root.diagonal().log().sum())
-        assert float(seen[0, :, row, ~used].abs().sum()) == 0.0
-
-
-def test_that_a_lag_is_where_the_correlation_has_fallen_to_one_over_e():
-    assert (1.0 + MATERN) * math.exp(-MATERN) == pytest.approx(math.exp(-1.0), abs=1e-4)
 
 
 FEW = FrameNoisePrior(durations=(0.3,), kinks=(0.15,), amounts=(1.0, 4.0))
@@ -151,15 +125,15 @@ def jittered(seed: int, jitter: float, effect: dict[str, float]) -> ExperimentBa
     """
     source = generator(seed)
     spacing = 0.04
-    times = torch.arange(0.0, 2.6, spacing, dtype=torch.float64)
+    times = arange(0.0, 2.6, spacing)
     experiments = []
     for design in DESIGNS:
-        off = jitter * spacing * torch.randn(len(times), generator=source, dtype=torch.float64)
+        off = jitter * spacing * randn(len(times), generator=source)
         moved = (times + off).clamp_min(0.0).sort().values
         blank = Experiment(f"{design}", design, moved, torch.ones(1, len(times)))
         gel = PARAMETERS.pack(GEL | effect)[None]
         truth = predict(SIMULATOR, gel, ExperimentBatch((blank,)))[0]
-        pixels = 0.002 * torch.randn(truth.shape, generator=source, dtype=torch.float64)
+        pixels = 0.002 * randn(truth.shape, generator=source)
         experiments.append(Experiment(f"{design}", design, times, truth + pixels))
     return ExperimentBatch(tuple(experiments), Noise(kink=FIRST_KINK))
 
@@ -218,32 +192,6 @@ def test_that_one_noisy_curve_has_a_factor_of_its_own_and_even_curves_have_none(
     assert even == [(1.0, 1.0, 1.0)] * 6
 
 
-def test_that_a_batch_with_the_noise_holds_factors_and_laws():
-    batch = curves(Noise(), factors=(1.0, 3.0, 1.0))
-    found = infer_frame_noise(near(batch))
-    made = found.applied(batch)
-    assert [e.noise_factor for e in made.curves] == list(found.factors)
-    radius = torch.full_like(made.times, 0.5)
-    torch.testing.assert_close(
-        made.sd(radius)[1] / made.sd(radius)[0], torch.full_like(radius[0], found.factors[1])
-    )
-    one = NoiseLaws((made.noise,), tensor(1.0), tensor(0.07))
-    logs = replace(made, noise_laws=one).log_noise_ratios(radius, 4000, generator=generator(0))
-    assert float(logs[:, 0, 10].std()) == pytest.approx(0.07, rel=0.1)
-    assert float((logs[:, 1, 10] - logs[:, 0, 10]).std()) == pytest.approx(
-        found.factor_sds[1], rel=0.1
-    )
-    assert (
-        float(
-            replace(made, noise_laws=None)
-            .log_noise_ratios(radius, 3, generator=generator(0))
-            .abs()
-            .sum()
-        )
-        == 0.0
-    )
-
-
 def test_that_spoilt_frames_are_left_out_and_no_others():
     batch = curves(Noise())
     first = batch.curves[0].radius.clone()
@@ -273,13 +221,11 @@ def test_that_a_handful_of_frames_is_not_taken_for_quiet():
 
 def test_that_repeats_decide_where_there_are_some():
     source = generator(2)
-    times = torch.arange(0.0, 2.6, 0.04, dtype=torch.float64)
+    times = arange(0.0, 2.6, 0.04)
     noise = Noise(scale=1.5, correlation_time=0.1)
     shots = []
     for design in DESIGNS:
-        blank = Experiment(
-            f"{design}", design, times, torch.ones(1, len(times), dtype=torch.float64)
-        )
+        blank = Experiment(f"{design}", design, times, ones(1, len(times)))
         truth = predict(
             SIMULATOR, PARAMETERS.pack(GEL | {"wall": 0.2})[None], ExperimentBatch((blank,))
         )[0, 0]
@@ -298,14 +244,12 @@ def test_that_pixel_noise_at_several_frame_rates_makes_no_gap_and_a_wall_does(se
         source = generator(seed)
         experiments = []
         for spacing, design in zip((0.04, 0.03, 0.02), DESIGNS, strict=True):
-            times = torch.arange(0.0, 2.6, spacing, dtype=torch.float64)
-            blank = Experiment(
-                f"{spacing}", design, times, torch.ones(1, len(times), dtype=torch.float64)
-            )
+            times = arange(0.0, 2.6, spacing)
+            blank = Experiment(f"{spacing}", design, times, ones(1, len(times)))
             truth = predict(
                 SIMULATOR, PARAMETERS.pack(GEL | effect)[None], ExperimentBatch((blank,))
             )[0]
-            pixels = 0.004 * torch.randn(truth.shape, generator=source, dtype=torch.float64)
+            pixels = 0.004 * randn(truth.shape, generator=source)
             experiments.append(replace(blank, radius=truth + pixels))
         batch = ExperimentBatch(tuple(experiments))
         batch = infer_frame_noise(near(batch)).applied(batch)
@@ -321,10 +265,10 @@ def test_that_p_values_by_inferred_noise_are_uniform_and_a_lean_is_found(monkeyp
     monkeypatch.setattr("imr_torch.assimilate.frame_noise.interval_factor", lambda *_: 1.0)
     simulator = LinearSimulator()
     part = linear_prior(("nhkv",)).models[0]
-    times = torch.linspace(0.05, 2.5, 40, dtype=torch.float64)
+    times = linspace(0.05, 2.5, 40)
     noise = Noise(scale=1.7, floor=0.004)
     source = generator(0)
-    gel = part.parameters(torch.zeros(2, dtype=torch.float64))
+    gel = part.parameters(zeros(2))
     clean = [simulator(gel, tensor(400.0 + 200.0 * k, 0.2), times).radius for k in range(3)]
     shapes = torch.stack([torch.sin(0.4 * k * times + k) for k in range(24)])
 
@@ -337,7 +281,7 @@ def test_that_p_values_by_inferred_noise_are_uniform_and_a_lean_is_found(monkeyp
             Experiment(f"{k}", (400.0 + 200.0 * k, 0.2), times, row) for k, row in enumerate(rows)
         )
         batch = ExperimentBatch(shots)
-        point = Point(torch.zeros(2, dtype=torch.float64), torch.zeros(3, 3, dtype=torch.float64))
+        point = Point(zeros(2), zeros(3, 3))
         for _ in range(2):  # the optimum of a linear model, under the noise inferred about it
             line = whiten_rows(Posterior(part, batch, simulator).neighbourhood(point))
             point = Point(point.gel + (line.to_shift @ line.residual)[:2], point.nuisances)
@@ -352,7 +296,7 @@ def test_that_p_values_by_inferred_noise_are_uniform_and_a_lean_is_found(monkeyp
         ]
         return gap_test(blocks, line, seed=0).p_value
 
-    p_values = [p_value(0.0) for _ in range(60)]
+    p_values = [p_value(0.0) for _ in range(40)]
     assert kstest(p_values, "uniform").pvalue > 0.01
     assert sum(p < 0.05 for p in p_values) / len(p_values) < 0.11
-    assert sum(p_value(0.8) < 0.01 for _ in range(10)) >= 9
+    assert sum(p_value(0.8) < 0.01 for _ in range(6)) >= 5

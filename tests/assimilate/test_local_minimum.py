@@ -12,25 +12,23 @@ from torch import Tensor
 from imr_torch.assimilate import Point, Posterior, SearchOptions, assimilate
 from imr_torch.assimilate.local_minimum import _FrozenCost, descend_from
 from imr_torch.assimilate.multistart import ModelSearch
+from imr_torch.float64 import linspace, zeros
 from imr_torch.material import PARAMETERS, reference_case
 from imr_torch.observe import (
     Experiment,
     ExperimentBatch,
     Noise,
     Nuisance,
-    SimulatedLaboratory,
 )
 from imr_torch.random import generator
-from imr_torch.simulate import PolytropicSimulator, Simulator, Solution, TransportSimulator
-from tests.linear import MEANS, SDS, LinearSimulator, experiments, prior, tensor
+from imr_torch.simulate import Simulator, Solution, TransportSimulator
+from tests.linear import MEANS, SDS, LinearSimulator, prior, tensor
 
 NOISE = Noise(floor=0.002, slope=0.0, drift=0.0)
-TIMES = torch.linspace(0.0, 3.0, 24, dtype=torch.float64)
+TIMES = linspace(0.0, 3.0, 24)
 TURN = 1.2
 NEARLY_CENTRAL = 0.02
 STARTS = tensor((0.5, 0.3), (-0.5, 2.2))
-LINEAR = Nuisance(time_zero=0.2, rest_radius=0.3)
-ALL = Nuisance(max_radius=0.01, time_zero=0.02, rest_radius=0.05)
 
 
 class Circle(LinearSimulator):
@@ -102,9 +100,7 @@ def fitted(simulator: Simulator, nuisance: Nuisance | None = None):
 
 
 @pytest.mark.parametrize("nuisance", [None, Nuisance(time_zero=0.05)], ids=["certain", "uncertain"])
-def test_that_a_fit_arrives_where_gauss_newton_alone_would_not(
-    monkeypatch, nuisance: Nuisance | None
-) -> None:
+def test_that_a_fit_arrives_where_gauss_newton_alone_would_not(monkeypatch, nuisance):
     arrived = fitted(Circle(), nuisance)
     assert arrived.certificate.converged
     assert float(arrived.mean[1]) == pytest.approx(TURN, abs=0.05)  # the prior pulls
@@ -113,13 +109,13 @@ def test_that_a_fit_arrives_where_gauss_newton_alone_would_not(
     assert not alone.certificate.converged
 
 
-def test_that_a_fit_arrives_where_bubbles_fail_by_the_steps_of_a_leader_far_away() -> None:
+def test_that_a_fit_arrives_where_bubbles_fail_by_the_steps_of_a_leader_far_away():
     found = fitted(FailsFarFromLeader())
     assert found.certificate.converged
     assert found.cost == pytest.approx(fitted(Circle()).cost, abs=1e-4)
 
 
-def test_that_a_minimum_is_one_under_the_solver_steps_of_the_leader_and_under_no_others() -> None:
+def test_that_a_minimum_is_one_under_the_solver_steps_of_the_leader_and_under_no_others():
     posterior = Posterior(prior(("nhkv",)).models[0], nearly_central(), Rough())
     start = Point(STARTS[0], posterior.mean_nuisances())
     search = ModelSearch(posterior, [start], SearchOptions(), False, generator(0))
@@ -135,7 +131,7 @@ def test_that_a_minimum_is_one_under_the_solver_steps_of_the_leader_and_under_no
     assert float(other.whitened_gradient) > 3.0 * search.options.gradient
 
 
-def test_that_a_point_where_bubbles_fail_is_not_taken() -> None:
+def test_that_a_point_where_bubbles_fail_is_not_taken():
     """The way to the minimum is barred at nearly half of it; the point ends on this side, lower
     than it began.
     """
@@ -147,7 +143,7 @@ def test_that_a_point_where_bubbles_fail_is_not_taken() -> None:
     assert 0.5 < float(ended.point.gel[1]) < 0.8
 
 
-def test_that_a_search_ends_where_failing_bubbles_bar_every_way_down() -> None:
+def test_that_a_search_ends_where_failing_bubbles_bar_every_way_down():
     barred = Circle(limit={"mu": MEANS["mu"] + 0.8 * SDS["mu"]})
     posterior = Posterior(prior(("nhkv",)).models[0], nearly_central(), barred)
     start = Point(STARTS[0], posterior.mean_nuisances())
@@ -157,85 +153,11 @@ def test_that_a_search_ends_where_failing_bubbles_bar_every_way_down() -> None:
     assert search.lowest.gradient > search.options.gradient
 
 
-def test_that_a_start_that_cannot_be_simulated_has_an_infinite_cost_and_gradient() -> None:
-    posterior = Posterior(prior(("nhkv",)).models[0], nearly_central(), Circle(fails=True))
-    start = Point(STARTS[0], posterior.mean_nuisances())
-    ended = descend_from(posterior, start, None, gradient=1e-3, iterations=5)
-    assert (ended.cost, ended.gradient, ended.iterations) == (math.inf, math.inf, 0)
-
-
-def test_that_a_descent_ends_at_its_reach_and_above_its_limit() -> None:
-    posterior = Posterior(prior(("nhkv",)).models[0], nearly_central(), Circle())
-    start = Point(STARTS[0], posterior.mean_nuisances())
-
-    def steps(**ends: float) -> int:
-        return descend_from(
-            posterior, start, start, gradient=1e-3, iterations=50, **ends
-        ).iterations
-
-    assert steps(reach=0.01) == steps(limit=-1e9) == 1 < steps()
-
-
-def _filmed() -> ExperimentBatch:
-    """Two designs, filmed in a gel that loses gas and relaxes, neither of which the models here have."""
-    gel = PARAMETERS.pack({"G": 8310.0, "mu": 0.093, "gas_loss": 0.5, "tau": 1e-5})
-    laboratory = SimulatedLaboratory(PolytropicSimulator(), gel, repeats=20)
-    shots = [laboratory.shoot(tensor(*d), seed=1) for d in ((400.0, 0.22), (900.0, 0.14))]
-    return ExperimentBatch(tuple(replace(shot, nuisance=ALL) for shot in shots))
-
-
-def _frozen(simulator: Simulator, batch: ExperimentBatch) -> _FrozenCost:
-    posterior = Posterior(prior(("nhkv",)).models[0], batch, simulator)
-    point = Point(0.1 * torch.ones(posterior.size, dtype=torch.float64), posterior.mean_nuisances())
-    return _FrozenCost(posterior, point, point)
-
-
-def _lower(cost: _FrozenCost) -> tuple[Tensor, Tensor, Tensor]:
-    """A step downhill, the gradient there, and what the old sensitivities make of it."""
-    before = cost.lowest
-    old = cost.x.copy()
-    step = -1e-5 * cost.gradient_at(old)
-    assert cost(old + step) < before.cost
-    new = cost.lowest.near
-    by_old = cost.posterior.equations(new.point, new.centre, *before.near.slopes)
-    uncertain = cost.posterior.uncertain
-    rise = cost.gradient_at(old + step) - by_old.joint_gradient(uncertain).numpy()
-    return torch.from_numpy(step), torch.from_numpy(rise), torch.from_numpy(cost.bend)
-
-
-def test_that_along_a_step_the_curvature_is_what_old_sensitivities_miss_of_the_gradient() -> None:
-    step, missed, bend = _lower(_frozen(PolytropicSimulator(), _filmed()))
-    assert float(missed.abs().max()) > 1.0
-    torch.testing.assert_close(bend @ step, missed)
-    torch.testing.assert_close(bend, bend.mT)
-
-
-def test_that_a_linear_model_has_no_curvature_beside_gauss_and_newtons() -> None:
-    cost = _frozen(LinearSimulator(), experiments(3, nuisance=LINEAR))
-    hessian = cost.hessian_at(cost.x)
-    bend = _lower(cost)[2]
-    assert float(bend.abs().max()) < 1e-5 * float(abs(hessian).max())
-
-
-def test_that_gradient_and_hessian_are_those_of_the_arrow() -> None:
-    cost = _frozen(PolytropicSimulator(), _filmed())
-    x = cost.x.copy()
-    here = cost(x)
-    slope = torch.from_numpy(cost.gradient_at(x))
-    step = 1e-6 * slope / slope.norm()
-    assert cost(x - step.numpy()) - here == pytest.approx(-float(step @ slope), rel=1e-3)
-    equations = cost.posterior.neighbourhood(cost.posterior.point_at(torch.from_numpy(x))).equations
-    hessian = equations.joint_hessian(cost.posterior.uncertain)
-    joint = torch.linalg.solve(hessian, -slope)
-    gel, nuisances = equations.step
-    torch.testing.assert_close(joint, torch.cat((gel, nuisances.flatten())))
-
-
-def test_that_a_search_begins_with_coarse_bubbles_and_ends_with_the_simulators_own() -> None:
+def test_that_a_search_begins_with_coarse_bubbles_and_ends_with_the_simulators_own():
     gel = reference_case("soft-pa").prior.models[0]
     fine = TransportSimulator()
-    times = torch.linspace(0.0, 2.5, 60, dtype=torch.float64)
-    truth = fine(gel.to_si(torch.zeros(2, dtype=torch.float64)), tensor(400.0, 0.2), times).radius
+    times = linspace(0.0, 2.5, 60)
+    truth = fine(gel.to_si(zeros(2)), tensor(400.0, 0.2), times).radius
     batch = ExperimentBatch((Experiment("shot", (400.0, 0.2), times, truth[None]),))
     posterior = Posterior(gel, batch, fine)
     starts = [Point(tensor(v, v), posterior.mean_nuisances()) for v in (0.5, -0.5)]
@@ -252,7 +174,7 @@ def test_that_a_search_begins_with_coarse_bubbles_and_ends_with_the_simulators_o
     assert end.cost < first
 
 
-def test_that_a_fit_of_which_no_start_can_be_simulated_says_so() -> None:
+def test_that_a_fit_of_which_no_start_can_be_simulated_says_so():
     fit = fitted(Circle(fails=True))
     assert fit.cost == math.inf
     assert not fit.certificate.converged

@@ -9,13 +9,14 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate import SearchOptions, assimilate, starts
+from imr_torch.float64 import arange, linspace, randn
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise
 from imr_torch.random import generator
 from imr_torch.simulate import Conditions, Solution, Status, broadcast_batch
 from tests.linear import MEANS, SDS, prior, tensor
 
-TIMES = torch.linspace(0.0, 1.8, 10, dtype=torch.float64)
+TIMES = linspace(0.0, 1.8, 10)
 NOISE = Noise(floor=0.003, slope=0.0, drift=0.0)
 CASES = 24
 
@@ -51,7 +52,7 @@ def wrong_minima() -> int:
     """Of 24 gels, each searched for from two draws of the prior, those that are missed by 5 standard deviations."""
     wrong = 0
     for seed in range(CASES):
-        truth = torch.randn(2, generator=generator(seed), dtype=torch.float64)
+        truth = randn(2, generator=generator(seed))
         noise = generator(100 + seed)
         gel = PARAMETERS.pack(
             {
@@ -60,9 +61,7 @@ def wrong_minima() -> int:
             }
         )
         radius = CuspedSimulator()(gel, tensor(500.0, 0.2), TIMES).radius
-        data = radius + NOISE.floor * torch.randn(
-            1, len(TIMES), generator=noise, dtype=torch.float64
-        )
+        data = radius + NOISE.floor * randn(1, len(TIMES), generator=noise)
         batch = ExperimentBatch((Experiment("cusp", (500.0, 0.2), TIMES, data),), NOISE)
         options = SearchOptions(raw_samples=2, starts=2)
         fit = assimilate(
@@ -73,7 +72,7 @@ def wrong_minima() -> int:
 
 
 @pytest.mark.filterwarnings("ignore::imr_torch.errors.ConvergenceWarning")
-def test_that_chains_pass_frames_next_to_a_collapse(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_that_chains_pass_frames_next_to_a_collapse(monkeypatch):
     assert wrong_minima() <= 2
     monkeypatch.setattr(
         starts,
@@ -83,11 +82,11 @@ def test_that_chains_pass_frames_next_to_a_collapse(monkeypatch: pytest.MonkeyPa
     assert wrong_minima() >= 6
 
 
-def test_which_frames_are_next_to_a_collapse() -> None:
+def test_which_frames_are_next_to_a_collapse():
     radius = tensor(
         1.0, 0.9, 0.8, 0.2, 0.5, 0.7, 0.6, 0.5, 0.3, 0.1
     )  # a collapse at frame 3, and one at the end of the record
-    kept = starts.away_from_collapses(torch.arange(10, dtype=torch.float64), radius)
+    kept = starts.away_from_collapses(arange(10), radius)
     assert kept.tolist() == [True, True, False, False, False, True, True, True, False, False]
     for short in (tensor(1.0, 1.0, 1.0), tensor(1.0, 0.2, 0.9)):
-        assert bool(starts.away_from_collapses(torch.arange(3, dtype=torch.float64), short).all())
+        assert bool(starts.away_from_collapses(arange(3), short).all())

@@ -9,15 +9,14 @@ import torch
 
 from imr_torch.assimilate import (
     SearchOptions,
-    assimilate,
     assimilate_estimating_noise,
-    noise_estimation,
 )
+from imr_torch.float64 import linspace
 from imr_torch.observe import Experiment, ExperimentBatch
 from tests.linear import NOISE, LinearSimulator, prior, tensor
 
 OPTIONS = SearchOptions(raw_samples=24, starts=2)
-TIMES = torch.linspace(0.0, 2.0, 60, dtype=torch.float64)
+TIMES = linspace(0.0, 2.0, 60)
 DESIGNS = ((200.0, 0.2), (500.0, 0.25), (900.0, 0.15))
 
 
@@ -49,7 +48,7 @@ def fitted(batch: ExperimentBatch, rounds: int, models: tuple[str, ...] = ("nhkv
 
 
 @pytest.mark.parametrize("repeats", [1, 8])
-def test_that_the_scale_is_found_and_intervals_widen_with_it(repeats: int) -> None:
+def test_that_the_scale_is_found_and_intervals_widen_with_it(repeats):
     batch = filmed(3.0, repeats)
     stated = fitted(batch, 0)
     found = fitted(batch, 2)
@@ -63,7 +62,7 @@ def test_that_the_scale_is_found_and_intervals_widen_with_it(repeats: int) -> No
     assert float(wider) == pytest.approx(3.0, rel=0.2)
 
 
-def test_that_noise_is_estimated_from_repeats_with_gaps_too() -> None:
+def test_that_noise_is_estimated_from_repeats_with_gaps_too():
     batch = filmed(1.0, 8)
     radius = batch.experiments[0].radius.clone()
     radius[0, 10:20] = torch.nan
@@ -82,9 +81,7 @@ def test_that_noise_is_estimated_from_repeats_with_gaps_too() -> None:
     )  # 10 frames of 1440 are missing
 
 
-def test_that_a_model_that_misses_the_data_keeps_the_noise_of_the_camera_and_pays_in_its_intervals() -> (
-    None
-):
+def test_that_a_model_that_misses_the_data_keeps_the_noise_of_the_camera_and_pays_in_its_intervals():
     batch = filmed(1.0, 8)
     wrong, right = (fitted(batch, 2, (model,)).batch for model in ("newtonian", "nhkv"))
     for found in (wrong, right):
@@ -93,23 +90,3 @@ def test_that_a_model_that_misses_the_data_keeps_the_noise_of_the_camera_and_pay
     assert fitted(batch, 2, ("newtonian", "nhkv")).batch.noise.scale == pytest.approx(
         right.noise.scale, rel=1e-3
     )
-
-
-def test_that_only_the_last_fits_are_held_to_the_tolerances_and_warned_of(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    asked = []
-
-    def noted(*args, options: SearchOptions, warn: bool, **kwargs):
-        asked.append((options.gradient, options.agreement, warn))
-        return assimilate(*args, options=options, warn=warn, **kwargs)
-
-    monkeypatch.setattr(noise_estimation, "assimilate", noted)
-    found = fitted(filmed(3.0, 1), 2)
-    assert found.converged
-    assert [a[2] for a in asked] == [False, False, True]
-    assert asked[0] == asked[1] > asked[2]
-    assert asked[2][:2] == (OPTIONS.gradient, OPTIONS.agreement)
-    asked.clear()
-    fitted(filmed(3.0, 1), 0)
-    assert asked == [(OPTIONS.gradient, OPTIONS.agreement, True)]

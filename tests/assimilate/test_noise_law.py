@@ -18,9 +18,9 @@ from imr_torch.assimilate import (
     noise_nodes,
     weigh,
 )
-from imr_torch.assimilate.noise_law import LocalNoise
 from imr_torch.errors import InputDataError
-from imr_torch.observe import CollapseTime, Experiment, ExperimentBatch, Noise, NoiseLaws, Nuisance
+from imr_torch.float64 import linspace, randn, zeros
+from imr_torch.observe import CollapseTime, Experiment, ExperimentBatch, NoiseLaws, Nuisance
 from tests.curved import mean_error, sd_error
 from tests.drifting import Slow, drifting
 from tests.linear import CORRELATED, NOISE, LinearSimulator, exact, experiments, prior, tensor
@@ -69,34 +69,7 @@ def by_brute_force(batch: ExperimentBatch, nodes: NoiseNodes) -> dict[str, torch
 
 
 @pytest.mark.parametrize("nuisance", [Nuisance(), UNCERTAIN])
-@pytest.mark.parametrize("law", [CORRELATED, replace(NOISE, scale=1.7)])
-def test_that_the_marginal_likelihood_is_the_exact_evidence_of_a_linear_model(
-    nuisance: Nuisance, law: Noise
-) -> None:
-    batch = experiments(3, nuisance=nuisance, noise=CORRELATED)
-    near = Posterior(PART, batch, SIMULATOR).neighbourhood(fitted(batch)["nhkv"].point)
-    value = LocalNoise.of(near, (law,)).marginal(
-        torch.tensor([[law.scale]], dtype=torch.float64).log()
-    )
-    assert float(value) == pytest.approx(
-        exact(PART, replace(batch, noise=law)).log_evidence, abs=1e-6
-    )
-
-
-@pytest.mark.parametrize("nuisance", [Nuisance(), UNCERTAIN])
-def test_that_about_the_fit_the_posterior_of_the_nodes_is_what_is_known(nuisance: Nuisance) -> None:
-    batch = experiments(2, nuisance=nuisance, noise=CORRELATED)
-    nodes = nodes_of(batch)
-    weights = by_brute_force(batch, nodes)["weights"].reshape(2, -1)
-    torch.testing.assert_close(weights.sum(1), KNOWN.weights, atol=1e-5, rtol=0.0)
-    spread = (weights[0] @ nodes.log_factors[0].square() / weights[0].sum()).sqrt()
-    assert float(spread) == pytest.approx(0.2, rel=0.05)
-
-
-@pytest.mark.parametrize("nuisance", [Nuisance(), UNCERTAIN])
-def test_that_evidence_and_moments_over_the_noise_are_those_of_brute_force_sums(
-    nuisance: Nuisance,
-) -> None:
+def test_that_evidence_and_moments_over_the_noise_are_those_of_brute_force_sums(nuisance):
     batch = experiments(2, nuisance=nuisance, noise=CORRELATED)
     nodes = nodes_of(batch)
     expected = by_brute_force(batch, nodes)
@@ -118,30 +91,18 @@ def test_that_evidence_and_moments_over_the_noise_are_those_of_brute_force_sums(
     assert bool((fit.posterior.chol.norm(dim=1) / whole - 1.0).abs().max() < 0.1)
 
 
-def test_that_a_known_law_is_weighted_as_before() -> None:
-    batch = experiments(2, noise=CORRELATED)
-    sample = weigh(fitted(batch), SIMULATOR, seed=0)["nhkv"].sample
-    assert sample is not None
-    assert (sample.noise, sample.noise_laws(3)) == (None, None)
-    assert sample.log_evidence == pytest.approx(
-        exact(PART, batch).log_evidence, abs=4.0 * sample.log_evidence_error
-    )
-
-
 def film(seed: int, frames: int = 14) -> tuple[ExperimentBatch, torch.Tensor]:
     """One curve of few frames of a gel of the prior, of a noise between half and twice the law that is stated."""
     source = torch.Generator().manual_seed(seed)
-    gel = torch.randn(2, generator=source, dtype=torch.float64)
-    times = torch.linspace(0.05, 2.5, frames, dtype=torch.float64)
+    gel = randn(2, generator=source)
+    times = linspace(0.05, 2.5, frames)
     clean = SIMULATOR(PART.to_si(gel), tensor(400.0, 0.2), times).radius
     scale = 2.0 ** float(2.0 * torch.rand((), generator=source) - 1.0)
     seen = replace(NOISE, scale=scale).draw(clean, times, 1, generator=source)
     return ExperimentBatch((Experiment("a", (400.0, 0.2), times, seen),), NOISE), gel
 
 
-def test_that_intervals_over_the_noise_cover_where_plugged_in_ones_are_narrower(
-    few_deviations: None,
-) -> None:
+def test_that_intervals_over_the_noise_cover_where_plugged_in_ones_are_narrower(few_deviations):
     inside: dict[str, list[bool]] = {"plugged": [], "integrated": []}
     wider = []
     for seed in range(40):
@@ -163,8 +124,8 @@ def test_that_intervals_over_the_noise_cover_where_plugged_in_ones_are_narrower(
 
 
 def test_that_intervals_beside_residuals_that_drift_hold_and_those_of_independent_frames_do_not(
-    few_deviations: None,
-) -> None:
+    few_deviations,
+):
     inside: dict[str, list[bool]] = {"independent": [], "widened": []}
     for seed in range(25):
         batch, gel = drifting(seed)
@@ -186,10 +147,8 @@ def test_that_intervals_beside_residuals_that_drift_hold_and_those_of_independen
 def independent(seed: int, repeats: int = 1) -> ExperimentBatch:
     """Two curves of the model that is fitted, of independent frames."""
     source = torch.Generator().manual_seed(seed)
-    times = torch.linspace(0.05, 2.5, 40, dtype=torch.float64)
-    clean = Slow()(
-        PART.to_si(torch.zeros(2, dtype=torch.float64)), tensor(400.0, 0.2), times
-    ).radius
+    times = linspace(0.05, 2.5, 40)
+    clean = Slow()(PART.to_si(zeros(2)), tensor(400.0, 0.2), times).radius
     rows = [NOISE.draw(clean, times, repeats, generator=source) for _ in range(2)]
     return ExperimentBatch(
         tuple(Experiment(f"{k}", (400.0, 0.2), times, row) for k, row in enumerate(rows)), NOISE
@@ -197,9 +156,7 @@ def independent(seed: int, repeats: int = 1) -> ExperimentBatch:
 
 
 @pytest.mark.parametrize("repeats", [1, 6])
-def test_that_intervals_stay_as_they_are_where_frames_are_independent(
-    repeats: int, few_deviations: None
-) -> None:
+def test_that_intervals_stay_as_they_are_where_frames_are_independent(repeats, few_deviations):
     """But for one in twenty, by chance."""
     factors = []
     for seed in range(16):
@@ -212,7 +169,7 @@ def test_that_intervals_stay_as_they_are_where_frames_are_independent(
     assert sum(factor > 1.3 for factor in factors) <= 2
 
 
-def test_that_repeats_tell_a_misfit_from_noise() -> None:
+def test_that_repeats_tell_a_misfit_from_noise():
     """Every repeat has the same deviation from the model: no noise, so the law stays, and intervals
     widen.
     """
@@ -237,7 +194,7 @@ def test_that_repeats_tell_a_misfit_from_noise() -> None:
     )
 
 
-def test_that_laws_of_frames_are_refused_beside_collapse_times() -> None:
+def test_that_laws_of_frames_are_refused_beside_collapse_times():
     """A collapse time has an error of its own, which no law of the camera's noise is."""
     batch = experiments(1, noise=CORRELATED)
     nodes = nodes_of(batch)

@@ -4,6 +4,7 @@ and no more.
 
 import pytest
 import torch
+from torch.testing import assert_close
 
 from imr_torch.assimilate import Posterior, SearchOptions, Verdict, assimilate, weigh
 from imr_torch.assimilate.ridge import trace_ridge
@@ -14,9 +15,9 @@ from tests.linear import LinearSimulator, experiments, prior
 OPTIONS = SearchOptions(raw_samples=24)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("bend", [0.5, 1.5])
-def test_that_a_bent_posterior_is_covered_to_its_ends(bend: float, seed: int) -> None:
+def test_that_a_bent_posterior_is_covered_to_its_ends(bend, seed):
     """G all but mute, so that its posterior is as wide as its prior, and mu bends along it, by up to ten times its width."""
     simulator = CurvedSimulator(bend, mute=0.05)
     batch = experiments(3)
@@ -38,19 +39,7 @@ def test_that_a_bent_posterior_is_covered_to_its_ends(bend: float, seed: int) ->
     )
 
 
-def test_that_the_proposal_for_a_gaussian_is_made_for_that_gaussian() -> None:
-    fits = assimilate(
-        prior(("newtonian", "gen_qkv")), experiments(2), LinearSimulator(), seed=1, options=OPTIONS
-    ).fits
-    for fit in fits:
-        proposal = trace_ridge(fit, Posterior(fit.prior, experiments(2), LinearSimulator()))
-        torch.testing.assert_close(proposal.mean, fit.mean, atol=1e-2, rtol=0.0)
-        torch.testing.assert_close(
-            proposal.chol @ proposal.chol.mT, fit.chol @ fit.chol.mT, rtol=0.02, atol=0.02
-        )
-
-
-def test_that_nuisances_go_along_the_ridge() -> None:
+def test_that_nuisances_go_along_the_ridge():
     """With each point's own nuisances the ridge is followed to where the profile is low, and weighing is content."""
     nuisance = Nuisance(time_zero=0.2, rest_radius=0.3)
     simulator = CurvedSimulator(0.7, mute=0.1)
@@ -62,7 +51,7 @@ def test_that_nuisances_go_along_the_ridge() -> None:
     assert weigh(fits, simulator, seed=0).fits[0].sample.reliable
 
 
-def test_that_failing_bubbles_end_one_side() -> None:
+def test_that_failing_bubbles_end_one_side():
     batch = experiments(2)
     (fit,) = assimilate(prior(("nhkv",)), batch, LinearSimulator(), seed=1, options=OPTIONS).fits
     whole = trace_ridge(fit, Posterior(fit.prior, batch, LinearSimulator()))
@@ -72,10 +61,10 @@ def test_that_failing_bubbles_end_one_side() -> None:
     )
     assert 3 < len(one_sided.centres) < len(whole.centres)
     none = trace_ridge(fit, Posterior(fit.prior, batch, LinearSimulator(fails=True)))
-    torch.testing.assert_close(none.centres, fit.mean[None])
+    assert_close(none.centres, fit.mean[None])
 
 
-def test_that_a_repaired_belief_hands_on_a_cloud_with_the_width_that_it_has_locally() -> None:
+def test_that_a_repaired_belief_hands_on_a_cloud_with_the_width_that_it_has_locally():
     """Across the ridge the moments are many times as wide as the belief is anywhere; a straight one
     has no cloud.
     """
@@ -91,7 +80,7 @@ def test_that_a_repaired_belief_hands_on_a_cloud_with_the_width_that_it_has_loca
     local = -torch.linalg.slogdet(bent.cloud.precisions).logabsdet
     assert len(local) == 64
     assert float((moments - local).median()) > 2.0
-    torch.testing.assert_close(bent.cloud.controls.mean(0), bent.mean, rtol=0.0, atol=0.15)
+    assert_close(bent.cloud.controls.mean(0), bent.mean, rtol=0.0, atol=0.15)
     scatter = torch.cov(bent.cloud.controls.mT).diagonal().sqrt() / torch.linalg.norm(
         bent.chol, dim=1
     )

@@ -13,6 +13,7 @@ from imr_torch.assimilate import Posterior, infer_frame_noise
 from imr_torch.assimilate.matern import MATERN
 from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.assimilate.slow_noise import BesideSlowNoise, smooth_deviations
+from imr_torch.float64 import tensor
 from imr_torch.observe import ExperimentBatch, Noise
 from imr_torch.random import generator
 from tests.assimilate.test_frame_noise import curves, near, smooth, with_slow_noise
@@ -33,39 +34,6 @@ def alike(batch: ExperimentBatch, size: float, seed: int) -> ExperimentBatch:
     return replace(
         batch, experiments=tuple(replace(e, radius=e.radius + own) for e in batch.curves)
     )
-
-
-def test_that_evidence_is_that_of_dense_algebra():
-    """Gel and nuisances are integrated out as a Gaussian prior about the point, here one of zeros."""
-    place = known(curves(Noise(), spacing=0.08))
-    zero = replace(
-        place,
-        point=replace(
-            place.point, gel=0.0 * place.point.gel, nuisances=0.0 * place.point.nuisances
-        ),
-    )
-    batch, (by_gel, by_nuisance) = zero.posterior.batch, zero.slopes
-    shots, frames = batch.times.shape
-    columns = torch.zeros(
-        shots, frames, by_gel.shape[-1] + shots * by_nuisance.shape[-1], dtype=torch.float64
-    )
-    columns[..., : by_gel.shape[-1]] = by_gel
-    for shot in range(shots):
-        first = by_gel.shape[-1] + shot * by_nuisance.shape[-1]
-        columns[shot, :, first : first + by_nuisance.shape[-1]] = by_nuisance[shot]
-    white = (
-        batch.sd(zero.centre).square().flatten().diag()
-        + columns.flatten(0, 1) @ columns.flatten(0, 1).mT
-    )
-    lags = 2.146193220620583 * (batch.times[0][:, None] - batch.times[0]).abs() / 0.3
-    slow = torch.block_diag(*[0.004**2 * (1.0 + lags) * torch.exp(-lags)] * shots)
-    residual = (batch.mean - zero.centre).flatten()
-    mean = torch.zeros_like(residual)
-    gained = [
-        MultivariateNormal(mean, white + extra).log_prob(residual) for extra in (slow, 0.0 * slow)
-    ]
-    found = smooth_deviations(zero, amounts=(0.004,), durations=(0.3,))
-    assert found.own == pytest.approx(float(gained[0] - gained[1]), abs=1e-5)
 
 
 def dense_log_evidence(near: Neighbourhood, fitted: torch.Tensor, amount: float) -> torch.Tensor:
@@ -125,7 +93,7 @@ def test_that_the_most_probable_point_is_found_from_afar():
     """From a displaced gel, evidence by linear extrapolation is off by more than what is left."""
     place = known(with_slow_noise(curves(Noise(), spacing=0.08), 0.01))
     away = place.posterior.neighbourhood(
-        replace(place.point, gel=place.point.gel + torch.tensor([0.1, -0.07]).double())
+        replace(place.point, gel=place.point.gel + tensor([0.1, -0.07]))
     )
     right, promised, found = (
         BesideSlowNoise.at_mode(place),

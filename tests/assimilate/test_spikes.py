@@ -7,6 +7,7 @@ import torch
 
 from imr_torch.assimilate import SearchOptions, assimilate_estimating_noise
 from imr_torch.assimilate.spikes import frames_left_out
+from imr_torch.float64 import linspace, randn
 from imr_torch.observe import Experiment, ExperimentBatch, Nuisance
 from tests.linear import CORRELATED, NOISE, LinearSimulator, prior, tensor
 
@@ -14,14 +15,14 @@ PRIOR = prior(("nhkv",))
 PART = PRIOR.models[0]
 SIMULATOR = LinearSimulator()
 OPTIONS = SearchOptions(raw_samples=8, starts=2)
-TIMES = torch.linspace(0.05, 2.5, 60, dtype=torch.float64)
+TIMES = linspace(0.05, 2.5, 60)
 SD = 0.05
 
 
 def film(seed: int, bad: dict[int, float], law=NOISE, repeats: int = 1) -> ExperimentBatch:
     """One curve with errors, in standard deviations of the noise, added to some frames."""
     source = torch.Generator().manual_seed(seed)
-    gel = torch.randn(2, generator=source, dtype=torch.float64)
+    gel = randn(2, generator=source)
     clean = SIMULATOR(PART.to_si(gel), tensor(400.0, 0.2), TIMES).radius
     seen = law.draw(clean, TIMES, repeats, generator=source)
     for frame, size in bad.items():
@@ -37,21 +38,21 @@ def fit(batch: ExperimentBatch, seed: int = 0, rounds: int = 2):
 
 
 @pytest.mark.parametrize("law", [NOISE, CORRELATED])
-def test_that_spoilt_frames_are_left_out_and_no_other(law, few_deviations: None) -> None:
+def test_that_spoilt_frames_are_left_out_and_no_other(law, few_deviations):
     hits = 0
     false = 0
-    for seed in range(10):
+    for seed in range(6):
         bad = {7: 14.0, 31: -16.0, 50: 20.0}
         for errors, place in ((bad, seed), ({}, 100 + seed)):
             batch = film(place, errors, law)
             lost = frames_left_out(batch.curves, fit(batch, seed).batch.curves).get("a", [])
             hits += len(set(lost) & set(errors))
             false += len(set(lost) - set(errors))
-    assert hits >= 27  # of 30
-    assert false <= 2  # of 1170
+    assert hits >= 16  # of 18
+    assert false <= 2  # of 702
 
 
-def test_that_the_fit_is_that_of_the_curve_without_them() -> None:
+def test_that_the_fit_is_that_of_the_curve_without_them():
     batch = film(3, {22: 30.0})
     kept = torch.arange(60) != 22
     good = ExperimentBatch((batch.curves[0].at(kept),), NOISE)
@@ -63,6 +64,6 @@ def test_that_the_fit_is_that_of_the_curve_without_them() -> None:
     assert float((spoilt.mean - expected.mean).abs().max()) > 0.05
 
 
-def test_that_repeats_say_themselves_what_is_usual() -> None:
+def test_that_repeats_say_themselves_what_is_usual():
     batch = film(3, {22: 30.0}, repeats=4)
     assert len(fit(batch).batch.curves[0].times) == 60

@@ -15,6 +15,7 @@ from imr_torch.calibration import (
     uniformity,
 )
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import linspace, tensor
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Nuisance, RadiusTrace, TraceSet
 from imr_torch.results import document_report, header
@@ -92,9 +93,9 @@ def test_what_cannot_be_checked_is_refused(fits):
 def test_that_it_is_a_part_of_a_characterisation():
     lines = []
     simulator = PolytropicSimulator()
-    times = torch.linspace(0.0, 2.2, 23, dtype=torch.float64)
+    times = linspace(0.0, 2.2, 23)
     gel = PARAMETERS.pack({"G": 8310.0, "mu": 0.093})
-    radius = simulator(gel, torch.tensor([200.0, 0.2]).double(), times).radius
+    radius = simulator(gel, tensor([200.0, 0.2]), times).radius
     trace = RadiusTrace("shot 1", times * Surroundings().time_scale(2e-4), 2e-4 * radius, "made")
     result = characterize(
         TraceSet((trace,)),

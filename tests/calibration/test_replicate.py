@@ -13,15 +13,14 @@ from imr_torch.assimilate import En4DVarOptions, SearchOptions
 from imr_torch.calibration import Arrangement, calibrate, coverage, uniformity
 from imr_torch.design import Plan
 from imr_torch.errors import ConvergenceError, ShapeError
+from imr_torch.float64 import linspace, randn, zeros
 from imr_torch.material import Belief, reference_case
 from imr_torch.observe import ExperimentBatch, Nuisance
 from imr_torch.random import generator
 from imr_torch.simulate import PolytropicSimulator
 from tests.linear import NOISE, LinearSimulator, exact, prior
 
-PLAN = Plan(
-    times=torch.linspace(0.0, 2.0, 13, dtype=torch.float64), repeats=16, noise=NOISE, collapses=None
-)
+PLAN = Plan(times=linspace(0.0, 2.0, 13), repeats=16, noise=NOISE, collapses=None)
 OPTIONS = SearchOptions(raw_samples=8, starts=2)
 LINEAR = Arrangement(prior(("nhkv", "gen_qkv")), ((400.0, 0.2),), PLAN, samples=64, options=OPTIONS)
 
@@ -104,7 +103,7 @@ def drawn_exactly(width=1.0):
         part = LINEAR.prior[model]
         truth = exactly(part, batch)
         chol = width * torch.linalg.cholesky(truth.covariance)
-        noise = torch.randn(200, len(truth.mean), generator=generator(seed), dtype=torch.float64)
+        noise = randn(200, len(truth.mean), generator=generator(seed))
         return part.physical(part.unwhitened(truth.mean + noise @ chol.mT))
 
     return infer
@@ -167,11 +166,11 @@ def test_that_gels_that_cannot_be_simulated_are_drawn_again():
 
 
 def test_that_bubbles_serve():
-    plan = Plan(times=torch.linspace(0.0, 2.2, 45, dtype=torch.float64), repeats=20)
+    plan = Plan(times=linspace(0.0, 2.2, 45), repeats=20)
     part = reference_case("soft-pa").prior["nhkv"]
     soft = replace(
         LINEAR,
-        prior=Belief((part,), torch.zeros(1, dtype=torch.float64)),
+        prior=Belief((part,), zeros(1)),
         options=SearchOptions(raw_samples=8, starts=2),
     )
     found = run(2, arrangement=soft, plan=plan, simulator=PolytropicSimulator())

@@ -10,6 +10,7 @@ from scipy import stats
 
 from imr_torch.calibration import coverage, envelope, uniformity
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import arange, rand, tensor
 
 
 def grid(n):
@@ -18,7 +19,7 @@ def grid(n):
 
 
 def uniform(n, seed=0):
-    return torch.rand(n, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+    return rand(n, generator=torch.Generator().manual_seed(seed))
 
 
 def test_that_a_uniform_grid_passes_and_its_bins_are_equal():
@@ -50,15 +51,13 @@ def test_that_a_wrong_posterior_is_found(bend):
 
 
 def test_that_the_spread_is_that_of_the_normal_scores():
-    narrow = torch.special.ndtr(
-        1.3 * torch.special.ndtri(torch.tensor(grid(300), dtype=torch.float64))
-    )
+    narrow = torch.special.ndtr(1.3 * torch.special.ndtri(tensor(grid(300))))
     assert uniformity(narrow.tolist()).spread == pytest.approx(1.3, rel=0.02)
 
 
 def test_that_the_envelope_holds_uniform_numbers_as_often_as_it_says():
     rows = uniform(400 * 80).reshape(400, 80).sort(dim=1).values
-    steps = torch.arange(81, dtype=torch.float64) / 80
+    steps = arange(81) / 80
     distance = torch.maximum((steps[1:] - rows).amax(1), (rows - steps[:-1]).amax(1))
     inside = (distance < envelope(80)).tolist()
     assert stats.binomtest(sum(inside), 400, 0.95).pvalue > 0.01

@@ -1,25 +1,24 @@
 """A campaign remembers: however it is cut off, resuming ends in the same journal, byte for byte."""
 
-import json
 import shutil
 from dataclasses import replace
 
 import pytest
-import torch
 
 from imr_torch.assimilate import SearchOptions
 from imr_torch.campaign import Campaign, CampaignSettings, ExactLearner, Journal, Optimal, Random
 from imr_torch.design import Laplace, Plan
 from imr_torch.errors import InputDataError
-from imr_torch.material import PARAMETERS, Belief, reference_case
-from imr_torch.observe import Experiment, Noise, Nuisance, SimulatedLaboratory
+from imr_torch.float64 import linspace, tensor
+from imr_torch.material import PARAMETERS, reference_case
+from imr_torch.observe import Noise, SimulatedLaboratory
 from imr_torch.random import child
 from imr_torch.simulate import PolytropicSimulator, Stepping
 from tests.journals import cut
 
 CASE = reference_case("soft-pa")
 SIMULATOR = PolytropicSimulator(stepping=Stepping(0.25))
-TIMES = torch.linspace(0.0, 2.2, 23, dtype=torch.float64)
+TIMES = linspace(0.0, 2.2, 23)
 SETTINGS = CampaignSettings(
     plan=Plan(times=TIMES, repeats=20),
     policy=Optimal(Laplace(draws=3, rivals=3), evaluations=5, initial=4),
@@ -71,30 +70,11 @@ def test_resuming_gives_the_uninterrupted_journal_byte_for_byte(finished, tmp_pa
     assert resumed.belief.to_dict() == finished.belief.to_dict()
 
 
-def test_the_search_is_rebuilt_from_the_journal(finished):
-    search = campaign(finished.journal.folder).search(2)
-    assert search is not None
-    again = search.optimizer.recommend()
-    assert torch.equal(again.design, search.recommendation.design)
-    assert again.mean == search.recommendation.mean
-    assert finished.search(3) is None
-
-
 def test_a_journal_of_another_campaign_is_refused_and_says_what_differs(finished):
     with pytest.raises(InputDataError, match="journal of another campaign: seed differ"):
         campaign(finished.journal.folder, seed=1)
     with pytest.raises(InputDataError, match=r"prior[^ ]*, note\.case differ"):
         campaign(finished.journal.folder, prior=reference_case("stiff-pa").prior, note={})
-
-
-def test_a_changed_line_in_the_middle_is_refused(finished, tmp_path):
-    shutil.copytree(finished.journal.folder, tmp_path / "bad")
-    path = tmp_path / "bad" / "journal.jsonl"
-    lines = path.read_text().splitlines(keepends=True)
-    lines[2] = lines[2][:-10] + "\n"
-    path.write_text("".join(lines))
-    with pytest.raises(InputDataError, match=r"journal.jsonl, line 3: not a journal entry"):
-        campaign(tmp_path / "bad")
 
 
 def test_a_changed_or_missing_curve_file_is_refused(finished, tmp_path):
@@ -108,43 +88,6 @@ def test_a_changed_or_missing_curve_file_is_refused(finished, tmp_path):
         campaign(tmp_path / "bad")
 
 
-def test_a_stored_experiment_comes_back_bit_for_bit(tmp_path):
-    times = torch.linspace(0.0, 1.0, 5, dtype=torch.float64)
-    radius = torch.rand(3, 5, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    experiment = Experiment(
-        "odd / name", (301.7, 0.2131), times, radius, Nuisance(0.01, 0.002, 0.03)
-    )
-    journal = Journal(tmp_path)
-    record = json.loads(json.dumps(journal.store_curves(experiment, "one")))
-    back = journal.restore_curves(record)
-    assert torch.equal(back.radius, radius)
-    assert torch.equal(back.times, times)
-    assert (back.label, back.design, back.nuisance) == (
-        experiment.label,
-        experiment.design,
-        experiment.nuisance,
-    )
-
-
-def test_the_achieved_design_is_what_is_learnt_from(tmp_path):
-    wide = SimulatedLaboratory(
-        SIMULATOR, LABORATORY.truth, repeats=20, times=TIMES, scatter=(0.2, 0.1)
-    )
-    asked = torch.tensor([400.0, 0.2], dtype=torch.float64)
-    experiment = wide.shoot(asked, seed=5)
-    assert abs(experiment.design[0] / 400.0 - 1.0) > 0.02
-    run = campaign(
-        tmp_path / "achieved",
-        prior=Belief.prior(
-            {"nhkv": dict(zip(["G", "mu"], CASE.prior["nhkv"].marginals, strict=True))}
-        ),
-    )
-    step = run.tell(experiment)
-    part = step.belief["nhkv"]
-    for name, mean, sd in zip(part.names, part.means.tolist(), part.sds.tolist(), strict=True):
-        assert abs(mean - CASE.truth[name]) < 4.0 * sd
-
-
 def test_noise_that_was_learnt_is_in_the_journal_and_is_what_the_next_design_expects(tmp_path):
     louder = SimulatedLaboratory(
         SIMULATOR, LABORATORY.truth, repeats=20, times=TIMES, noise=Noise(scale=4.0)
@@ -152,7 +95,7 @@ def test_noise_that_was_learnt_is_in_the_journal_and_is_what_the_next_design_exp
     settings = replace(SETTINGS, policy=Random(), learner=replace(SETTINGS.learner, noise_rounds=2))
     run = campaign(tmp_path / "loud", settings=settings)
     assert run.plan == settings.plan
-    step = run.tell(louder.shoot(torch.tensor([400.0, 0.2], dtype=torch.float64), seed=0))
+    step = run.tell(louder.shoot(tensor([400.0, 0.2]), seed=0))
     assert step.noise.scale == pytest.approx(4.0, rel=0.35)  # some 20 frames of a mean curve
     again = campaign(tmp_path / "loud", settings=settings)
     assert again.plan.noise == run.plan.noise == step.noise
@@ -165,17 +108,12 @@ def test_that_noise_is_that_of_a_misfit_where_the_model_misses_what_was_told(tmp
     laboratory = SimulatedLaboratory(SIMULATOR, truth, repeats=1)
     settings = replace(SETTINGS, policy=Random(), learner=replace(SETTINGS.learner, noise_rounds=2))
     run = campaign(tmp_path / "told", settings=settings)
-    step = run.tell(laboratory.shoot(torch.tensor([400.0, 0.2], dtype=torch.float64), seed=0))
+    step = run.tell(laboratory.shoot(tensor([400.0, 0.2]), seed=0))
     assert (step.noise.widened > 1.5) == missed
     assert campaign(tmp_path / "told", settings=settings).plan.noise == step.noise
 
 
-def test_telling_nothing_is_refused(tmp_path):
-    with pytest.raises(InputDataError, match="at least one experiment"):
-        campaign(tmp_path / "none").tell()
-
-
-def test_that_the_cost_of_a_known_fit_is_no_setting() -> None:
+def test_that_the_cost_of_a_known_fit_is_no_setting():
     """It is of one search: journals that know no such field go on."""
     written = [
         CampaignSettings(learner=ExactLearner(options=SearchOptions(rival=cost))).to_dict()

@@ -7,6 +7,7 @@ import torch
 
 from imr_torch.campaign import camera_variants, forecast_shots, stopping_rule
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import eye
 from imr_torch.material import Belief, TruncatedNormal
 from imr_torch.observe import Noise
 from tests.design.linear_camera import DESIGNS, TWO, LinearCamera, covariance, plan, sensitivity
@@ -30,9 +31,7 @@ def test_that_shots_of_a_linear_gaussian_problem_are_those_of_its_closed_form(te
     for count in range(1, 13):
         designs = DESIGNS[[0, 1] * 6][:count]
         slopes = sensitivity(SURE.models[0], designs)
-        known = torch.eye(2).double() + slopes.mT @ torch.linalg.solve(
-            covariance(designs, COARSE), slopes
-        )
+        known = eye(2) + slopes.mT @ torch.linalg.solve(covariance(designs, COARSE), slopes)
         if torch.linalg.inv(known)[column, column].sqrt() < 100.0 * goal:
             break
     found = forecast(text)

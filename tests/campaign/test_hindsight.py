@@ -8,11 +8,12 @@ import torch
 from benchmarks.campaigns import hindsight_measure
 from imr_torch.campaign import Campaign, CampaignSettings
 from imr_torch.design import MeasureOptions, optimal_measure
+from imr_torch.float64 import linspace, tensor
 from imr_torch.observe import SimulatedLaboratory
 from tests.design.test_measure import PLAN as SHORT
 from tests.design.test_measure import SPACE, WIDE, Line
 
-PLAN = replace(SHORT, times=torch.linspace(0.0, 1.0, 6, dtype=torch.float64))
+PLAN = replace(SHORT, times=linspace(0.0, 1.0, 6))
 OPTIONS = MeasureOptions(draws=3, grid=(21, 2), scatter=(0.0, 0.0))
 
 
@@ -22,7 +23,7 @@ def tell_shots(folder, webers):
     truth = WIDE.sample(1, seed=1).parameters[0]
     laboratory = SimulatedLaboratory(Line(), truth, PLAN.noise, 1, PLAN.times)
     for number, weber in enumerate(webers):
-        design = torch.tensor([weber, 0.2], dtype=torch.float64)
+        design = tensor([weber, 0.2])
         campaign.tell(laboratory.shoot(design, seed=number))
     return campaign
 

@@ -6,12 +6,12 @@ import signal
 from contextlib import suppress
 
 import pytest
-import torch
 
 from benchmarks.interruptions import Disk, compare, forked, left_over
 from imr_torch.campaign import Campaign, CampaignSettings, Random
 from imr_torch.cli import main
 from imr_torch.design import DesignSpace, Plan
+from imr_torch.float64 import linspace
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import SimulatedLaboratory
 from imr_torch.random import child
@@ -19,9 +19,7 @@ from tests.journals import cut
 from tests.linear import NOISE, LinearSimulator, prior, tensor
 from tests.stubs import StubLearner
 
-PLAN = Plan(
-    torch.linspace(0.1, 2.0, 9, dtype=torch.float64), repeats=2, noise=NOISE, collapses=None
-)
+PLAN = Plan(linspace(0.1, 2.0, 9), repeats=2, noise=NOISE, collapses=None)
 SETTINGS = CampaignSettings(DesignSpace(), PLAN, Random(), StubLearner())
 LABORATORY = SimulatedLaboratory(
     LinearSimulator(),

@@ -15,12 +15,13 @@ from imr_torch.design import (
     Plan,
     expected_information_gain,
 )
+from imr_torch.float64 import linspace, ones, rand
 from imr_torch.material import PARAMETERS, Belief
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, SimulatedLaboratory
 from tests.linear import NOISE, LinearSimulator, exact, prior, tensor
 
 SIMULATOR = LinearSimulator()
-TIMES = torch.linspace(0.1, 3.0, 30, dtype=torch.float64)
+TIMES = linspace(0.1, 3.0, 30)
 EXACT = ExactLearner(64, SearchOptions(raw_samples=24))
 TWO = ("newtonian", "nhkv")
 
@@ -43,13 +44,11 @@ def shot(
 
 def test_1_the_information_gain_does_not_saturate_at_the_log_of_the_draws():
     plan = Plan(TIMES, repeats=10**4, noise=NOISE, collapses=None)
-    designs = torch.tensor([[300.0, 0.2]], dtype=torch.float64)
+    designs = tensor([300.0, 0.2])
     gain = expected_information_gain(
         prior(("nhkv",)), designs, SIMULATOR, plan, estimator=Laplace(draws=16), seed=0
     ).value
-    batch = ExperimentBatch(
-        (Experiment("", (300.0, 0.2), TIMES, torch.ones(1, 30, dtype=torch.float64)),), NOISE
-    )
+    batch = ExperimentBatch((Experiment("", (300.0, 0.2), TIMES, ones(1, 30)),), NOISE)
     one = replace(batch, noise=replace(NOISE, scale=1e-2))  # ten thousand repeats
     truth = -0.5 * float(torch.logdet(exact(prior(("nhkv",)).models[0], one).covariance))
     assert truth > math.log(100) + 5.0
@@ -79,7 +78,7 @@ def test_4_the_prior_is_not_used_again_with_every_design():
 
 def test_5_the_best_observed_value_does_not_win_by_luck():
     space = DesignSpace()
-    X = torch.rand(12, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    X = rand(12, 2, generator=torch.Generator().manual_seed(0))
     X = space.bounds[0] + (space.bounds[1] - space.bounds[0]) * X
     Y = -((X[:, :1] - 500.0) / 300.0).square()
     lucky = int(Y.argmin())

@@ -3,7 +3,6 @@
 import re
 
 import pytest
-import torch
 
 from imr_torch.campaign import (
     AllOf,
@@ -17,10 +16,11 @@ from imr_torch.campaign import (
     stopping_rule,
 )
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import linspace, ones
 from imr_torch.material import Belief, TruncatedNormal
 from imr_torch.observe import Experiment
 
-TIMES = torch.linspace(0.0, 1.0, 4, dtype=torch.float64)
+TIMES = linspace(0.0, 1.0, 4)
 
 
 def standing(
@@ -39,10 +39,7 @@ def standing(
         },
         probabilities={"nhkv": probability, "newtonian": 1.0 - probability},
     )
-    made = [
-        Experiment(f"e{n}", (300.0, 0.2), TIMES, torch.ones(n, 4, dtype=torch.float64))
-        for n in repeats
-    ]
+    made = [Experiment(f"e{n}", (300.0, 0.2), TIMES, ones(n, 4)) for n in repeats]
     return CampaignState(belief, tuple(made), gain)
 
 
@@ -63,22 +60,10 @@ def standing(
             r"every parameter of nhkv is known within 2 %",
         ),
         (
-            RelativeSd(0.02),
-            standing(sd=0.01, probability=0.4),
-            standing(sd=0.01),
-            "parameter of nhkv",
-        ),
-        (
             ModelProbability(0.9),
             standing(probability=0.89),
             standing(probability=0.91),
             "nhkv has a probability above 0.9",
-        ),
-        (
-            ModelProbability(0.6),
-            standing(probability=0.41),
-            standing(probability=0.39),
-            "newtonian has a probability",
         ),
         (
             GainBelow(0.5),
@@ -86,7 +71,6 @@ def standing(
             standing(gain=0.49),
             "gain of the next design is below 0.5 nats",
         ),
-        (Budget(3.0), standing(), standing(repeats=(1, 1, 1)), "3 of the budget of 3 are spent"),
         (
             Budget(80.0, 5.0, 1.0),
             standing(repeats=(10, 20)),
@@ -94,23 +78,10 @@ def standing(
             "82 of the budget of 80",
         ),
         (
-            Budget(64.9, 5.0, 1.0),
-            standing(repeats=(10,)),
-            standing(repeats=(10, 20)),
-            "40 of the budget of 64.9",
-        ),
-        (AnyOf((Designs(9), RelativeSd(0.02))), standing(), standing(sd=0.01), "every parameter"),
-        (
             AllOf((Designs(2), RelativeSd(0.02))),
             standing(),
             standing(sd=0.01),
             "2 designs were shot and every parameter",
-        ),
-        (
-            AllOf((Designs(3), RelativeSd(0.02))),
-            standing(sd=0.01),
-            standing(sd=0.01, repeats=(1, 1, 1)),
-            "3 designs",
         ),
     ],
     ids=lambda x: type(x).__name__ if not isinstance(x, str | CampaignState) else "",
@@ -141,43 +112,15 @@ def test_rules_are_read_from_text():
     [
         ("G:-5%", "RelativeSd.below is -0.05"),
         ("H:5%", "Unknown parameter 'H'"),
-        ("G:five", "PARAMETER:PERCENT as G:5%, or model:.99"),
         ("model:2", "ModelProbability.above is 2.0"),
         (
             "patience=3",
             "'patience=3' is not a stopping rule; expected NAME=NUMBER with NAME of designs, sd, probability",
         ),
-        ("designs=2.5", "'designs=2.5' is not a stopping rule"),
-        ("sd", "'sd' is not a stopping rule"),
-        ("sd=1:2", "'sd=1:2' is not a stopping rule"),
-        ("budget=1:2:3:4", "is not a stopping rule"),
-        ("designs=0", "Designs.count is 0"),
-        ("sd=-1", "RelativeSd.below is -1.0"),
         ("probability=1", "ModelProbability.above is 1.0; expected a probability between 0 and 1"),
-        ("gain=inf", "GainBelow.nats is inf"),
         ("budget=5:0:0", "a cost of something"),
     ],
 )
 def test_a_bad_rule_is_refused_by_name(text, message):
     with pytest.raises(InputDataError, match=message):
         stopping_rule(text)
-
-
-def test_all_of_nothing_is_refused():
-    with pytest.raises(InputDataError, match=r"AllOf.rules is empty; it would stop at once"):
-        AllOf(())
-
-
-def test_that_a_forgotten_experiment_is_spent_and_is_no_datum():
-    now = standing(repeats=(1, 1, 1))
-    one_lost = CampaignState(now.belief, now.experiments[:2], None, now.experiments[2:])
-    assert (
-        Budget(3.5).find_reason(one_lost)
-        == "3 of the budget of 3.5 are spent, 1 of these on experiments that were forgotten"
-    )
-    assert Budget(4.0).find_reason(one_lost) is None
-    assert Designs(3).find_reason(one_lost) is None
-    assert Designs(2).find_reason(one_lost) == "2 designs were shot, besides 1 that were forgotten"
-    all_lost = CampaignState(now.belief, (), None, now.experiments)
-    assert Budget(3.5).find_reason(all_lost) is not None
-    assert Designs(1).find_reason(all_lost) is None

@@ -7,13 +7,14 @@ import torch
 from torch import Tensor
 
 from imr_torch.design import Plan
+from imr_torch.float64 import eye, full, linspace, tensor, zeros
 from imr_torch.material import PARAMETERS, Belief, ModelBelief, TruncatedNormal
 from imr_torch.observe import Noise
 from imr_torch.simulate import Conditions, Solution, Status, broadcast_batch
 
 SIGMA = 0.05
-TIMES = torch.linspace(0.1, 2.0, 7, dtype=torch.float64)
-DESIGNS = torch.tensor([[300.0, 0.2], [800.0, 0.28]], dtype=torch.float64)
+TIMES = linspace(0.1, 2.0, 7)
+DESIGNS = tensor([[300.0, 0.2], [800.0, 0.28]])
 INDEX = PARAMETERS.index(("G", "mu", "alpha"))
 TIME_SLOPE = -0.4
 REST_SLOPE = 0.5
@@ -36,7 +37,7 @@ class LinearCamera:
 
     def columns(self, weber: Tensor) -> Tensor:
         """``... x 7 x 3`` for ``...`` Weber numbers."""
-        k = torch.linspace(0.1, 2.0, 7, dtype=torch.float64)
+        k = linspace(0.1, 2.0, 7)
         w = weber[..., None] / 500.0
         return torch.stack(
             (torch.sin(w * k), torch.cos(2.0 * w * k), 0.6 * k.expand(*w.shape[:-1], 7)), -1
@@ -84,10 +85,10 @@ TWO = Belief.prior(
 def correlated() -> Belief:
     """A posterior: mean and covariance of the controls are not the prior's."""
     part = ONE.models[0]
-    chol = torch.tensor([[0.8, 0.0, 0.0], [0.5, 0.4, 0.0], [-0.3, 0.2, 0.9]], dtype=torch.float64)
+    chol = tensor([[0.8, 0.0, 0.0], [0.5, 0.4, 0.0], [-0.3, 0.2, 0.9]])
     return Belief(
-        (part.with_gaussian(torch.tensor([0.3, -0.4, 0.1], dtype=torch.float64), chol),),
-        torch.zeros(1).double(),
+        (part.with_gaussian(tensor([0.3, -0.4, 0.1]), chol),),
+        zeros(1),
     )
 
 
@@ -104,9 +105,7 @@ def sensitivity(part: ModelBelief, designs: Tensor) -> Tensor:
         float(m.to_physical(torch.tensor(1.0)) - m.to_physical(torch.tensor(0.0)))
         for m in part.marginals
     ]
-    columns = LinearCamera().columns(designs[:, 0])[..., : len(slopes)] * torch.tensor(
-        slopes, dtype=torch.float64
-    )
+    columns = LinearCamera().columns(designs[:, 0])[..., : len(slopes)] * tensor(slopes)
     return columns.flatten(0, 1) @ part.chol
 
 
@@ -116,15 +115,13 @@ def covariance(designs: Tensor, how: Plan, *, nuisances: bool = True) -> Tensor:
     tau = how.noise.correlation_time
     noise = (
         (how.noise.floor * how.noise.scale) ** 2
-        * (torch.exp(-gap / tau) if tau else torch.eye(7).double())
+        * (torch.exp(-gap / tau) if tau else eye(7))
         / how.repeats
     )
     blocks = []
     for design in designs:
-        clock = torch.full((7, 1), TIME_SLOPE * how.nuisance.time_zero, dtype=torch.float64)
-        rest = torch.full(
-            (7, 1), REST_SLOPE * float(design[1]) * how.nuisance.rest_radius, dtype=torch.float64
-        )
+        clock = full((7, 1), TIME_SLOPE * how.nuisance.time_zero)
+        rest = full((7, 1), REST_SLOPE * float(design[1]) * how.nuisance.rest_radius)
         blocks.append(noise + (clock @ clock.mT + rest @ rest.mT if nuisances else 0.0))
     return torch.block_diag(*blocks)
 

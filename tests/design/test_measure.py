@@ -10,11 +10,12 @@ from torch import Tensor
 from imr_torch.design import DesignSpace, MeasureOptions, Plan, apportion_shots, optimal_measure
 from imr_torch.design.measure import certify_shares, optimise_shares
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import eye, linspace, tensor
 from imr_torch.material import PARAMETERS, Belief, TruncatedNormal, reference_case
 from imr_torch.observe import Noise
 from imr_torch.simulate import Conditions, PolytropicSimulator, Solution, Status, broadcast_batch
 
-AT = torch.linspace(-1.0, 1.0, 41, dtype=torch.float64)
+AT = linspace(-1.0, 1.0, 41)
 SPACE = DesignSpace((100.0, 1000.0), (0.15, 0.3))
 CENTRE = math.sqrt(1e5)
 
@@ -50,7 +51,7 @@ class Line:
 
 WIDE = Belief.prior({"nhkv": {"G": TruncatedNormal(1.0, 0.1), "mu": TruncatedNormal(1.0, 0.1)}})
 PLAN = Plan(
-    times=torch.tensor([0.0, 1.0], dtype=torch.float64),
+    times=tensor([0.0, 1.0]),
     noise=Noise(floor=1e-4, slope=0.0, drift=0.0),
     collapses=None,
 )
@@ -78,7 +79,7 @@ def criterion(regressors: Tensor, target: Tensor | None):
         matrix = regressors.mT * shares @ regressors
         if target is None:
             return torch.logdet(matrix) / regressors.shape[1]
-        nearly = matrix + 1e-10 * torch.eye(len(matrix), dtype=torch.float64)
+        nearly = matrix + 1e-10 * eye(len(matrix))
         return -torch.linalg.solve(nearly, target).trace().log()
 
     return evaluate
@@ -89,7 +90,7 @@ def polynomial(degree: int) -> Tensor:
 
 
 def of_row(*row: float) -> Tensor:
-    c = torch.tensor(row, dtype=torch.float64)
+    c = tensor(row)
     return torch.outer(c, c)
 
 
@@ -98,7 +99,7 @@ def of_row(*row: float) -> Tensor:
     [
         (1, None, {-1.0: 1 / 2, 1.0: 1 / 2}),
         (2, None, {-1.0: 1 / 3, 0.0: 1 / 3, 1.0: 1 / 3}),
-        (2, torch.eye(3, dtype=torch.float64), {-1.0: 1 / 4, 0.0: 1 / 2, 1.0: 1 / 4}),
+        (2, eye(3), {-1.0: 1 / 4, 0.0: 1 / 2, 1.0: 1 / 4}),
         (1, of_row(0.0, 1.0), {-1.0: 1 / 2, 1.0: 1 / 2}),
         (1, of_row(1.0, 2.0), {-1.0: 1 / 4, 1.0: 3 / 4}),  # Elfving: the value at 2
         (2, of_row(0.0, 0.0, 1.0), {-1.0: 1 / 4, 0.0: 1 / 2, 1.0: 1 / 4}),
@@ -108,10 +109,7 @@ def of_row(*row: float) -> Tensor:
 def test_that_the_measure_is_the_one_of_the_textbook(degree, target, shares):
     evaluate = criterion(polynomial(degree), target)
     found = optimise_shares(evaluate, torch.full_like(AT, 1.0 / len(AT)))
-    expected = sum(
-        share * torch.isclose(AT, torch.tensor(at).double()).double()
-        for at, share in shares.items()
-    )
+    expected = sum(share * torch.isclose(AT, tensor(at)).double() for at, share in shares.items())
     torch.testing.assert_close(found, expected, atol=2e-3, rtol=0.0)
     value, sensitivity, bound = certify_shares(evaluate, found)
     assert 0.0 <= bound < 1e-4
@@ -147,7 +145,7 @@ def test_that_a_line_seen_by_a_simulator_is_shot_at_its_ends(name):
 
 def test_that_the_efficiency_of_shots_is_that_of_their_determinant():
     found = find_line()
-    ends = torch.tensor([[100.0, 0.2], [1000.0, 0.2]], dtype=torch.float64)
+    ends = tensor([[100.0, 0.2], [1000.0, 0.2]])
     lopsided = ends[[0, 0, 0, 0, 1]]  # shares of .8 and .2, so sqrt(4 x .8 x .2)
     assert found.efficiency(ends) == pytest.approx(1.0, abs=0.01)
     assert found.efficiency(lopsided) == pytest.approx(0.8, abs=0.01)
@@ -161,11 +159,6 @@ def test_that_shots_that_cost_twice_as_much_get_as_much_of_the_budget_and_half_t
     whole = found.allocate_shots()  # 3 shots of cost 1, and 3/2 of cost 2
     assert len(whole) == 4
     assert int((whole[:, 0] > CENTRE).sum()) == 1
-
-
-def test_that_a_measure_is_refused_where_no_bubble_can_be_simulated():
-    with pytest.raises(InputDataError, match="No design that is allowed tells anything about 'D'"):
-        find_line(camera=Line(limit=-math.inf))
 
 
 def test_that_scatter_of_what_is_shot_costs_information_at_the_ends():
@@ -202,7 +195,7 @@ def test_that_the_bound_holds_on_a_grid_four_times_as_fine(name):
 @pytest.mark.parametrize("shots", [3, 4, 7, 23])
 def test_that_shots_are_apportioned_efficiently(shots):
     """No design has a shot too many for its share while another has one too few."""
-    shares = torch.tensor([0.55, 0.3, 0.15], dtype=torch.float64)
+    shares = tensor([0.55, 0.3, 0.15])
     counts = apportion_shots(shares, shots).bincount(minlength=3)
     assert int(counts.sum()) == shots
     assert float(((counts - 1.0) / shares).max()) <= float((counts / shares).min()) + 1e-9
@@ -212,8 +205,3 @@ def test_that_shots_are_apportioned_efficiently(shots):
 def test_that_a_criterion_that_is_none_is_refused_with_those_that_are(text):
     with pytest.raises(InputDataError, match=r"expected D, A, one of G, mu, or c:NAME=FACTOR"):
         find_line(text)
-
-
-def test_that_a_measure_needs_a_shot():
-    with pytest.raises(InputDataError, match="shots is 0"):
-        find_line(shots=0)

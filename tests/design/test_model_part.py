@@ -3,7 +3,6 @@
 import functools
 
 import pytest
-import torch
 
 from benchmarks.nested import NestedMonteCarlo, PriorContrastive
 from imr_torch.design import (
@@ -11,6 +10,7 @@ from imr_torch.design import (
     Plan,
     expected_information_gain,
 )
+from imr_torch.float64 import tensor
 from imr_torch.material import reference_case
 from imr_torch.simulate import PolytropicSimulator
 
@@ -20,7 +20,7 @@ TOLERANCE = 0.05
 
 
 def gain(design, estimator, seed):
-    X = torch.tensor([design], dtype=torch.float64)
+    X = tensor([design])
     return expected_information_gain(
         PRIOR, X, PolytropicSimulator(), Plan(repeats=1), estimator=estimator, seed=seed
     )

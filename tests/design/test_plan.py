@@ -3,6 +3,7 @@ import torch
 
 from imr_torch.design import Plan
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import linspace, tensor
 from imr_torch.material import reference_case
 from imr_torch.observe import Experiment, collapse_time
 from imr_torch.simulate import PolytropicSimulator
@@ -10,7 +11,7 @@ from imr_torch.simulate import PolytropicSimulator
 
 def test_the_window_holds_the_frames_that_an_assimilation_would_keep():
     draws = reference_case("stiff-pa").prior.sample(6, seed=0).parameters
-    design = torch.tensor([400.0, 0.2], dtype=torch.float64)
+    design = tensor([400.0, 0.2])
     plan = Plan()
     radius = PolytropicSimulator()(draws, design, plan.times).radius
     window = plan.frames_in_window(radius[:, None])[:, 0]
@@ -22,7 +23,7 @@ def test_the_window_holds_the_frames_that_an_assimilation_would_keep():
 
 
 def test_a_curve_without_that_many_collapses_keeps_all_frames():
-    plan = Plan(times=torch.linspace(0.0, 1.0, 11, dtype=torch.float64))
+    plan = Plan(times=linspace(0.0, 1.0, 11))
     assert bool(plan.frames_in_window(torch.cos(plan.times)[None]).all())
     assert bool(Plan(collapses=None).frames_in_window(torch.cos(9.0 * Plan().times)).all())
 

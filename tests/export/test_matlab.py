@@ -13,7 +13,7 @@ def result():
     return fitted(traces(("a", "b")))
 
 
-def test_that_parameters_and_curves_are_struct_arrays_in_us_and_um(result, tmp_path) -> None:
+def test_that_parameters_and_curves_are_struct_arrays_in_us_and_um(result, tmp_path):
     result.to_mat(tmp_path / "gel.mat")
     read = loadmat(tmp_path / "gel.mat", squeeze_me=True)
     assert read["model"] == "nhkv"
@@ -37,14 +37,14 @@ def test_that_parameters_and_curves_are_struct_arrays_in_us_and_um(result, tmp_p
         assert left / size == pytest.approx(curve["residual"], abs=3e-3)
 
 
-def test_that_a_result_without_curves_is_written_too(tmp_path) -> None:
+def test_that_a_result_without_curves_is_written_too(tmp_path):
     models = {"nhkv": {"intervals": {"G": [4e3, 5e3, 6e3]}}}
     document = {"model_probabilities": {"nhkv": 1.0}, "models": models, "curves": []}
     write_mat(document, tmp_path / "gel.mat")
     assert loadmat(tmp_path / "gel.mat")["curves"].size == 0
 
 
-def test_that_the_shape_is_written_of_the_curves_that_have_it(result, tmp_path) -> None:
+def test_that_the_shape_is_written_of_the_curves_that_have_it(result, tmp_path):
     document = result.to_document(draws=5)
     first, second = document["curves"]
     frames = len(first["measured"]["t_star"])

@@ -3,6 +3,7 @@
 import torch
 
 from imr_torch.assimilate import ModelFit, SearchOptions, assimilate
+from imr_torch.float64 import linspace, ones, tensor, zeros
 from imr_torch.gap.hypotheses import Hypothesis
 from imr_torch.material import PARAMETERS, Belief, wide_prior
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, predict
@@ -25,8 +26,8 @@ def shoot(
     nuisance: Nuisance | None = None,
 ) -> ExperimentBatch:
     """Noisy repeats of a gel with an effect; without repeats, its true curve once."""
-    times = torch.linspace(0.0, end, round(20 * end) + 1, dtype=torch.float64)
-    blank = torch.ones(1, len(times), dtype=torch.float64)
+    times = linspace(0.0, end, round(20 * end) + 1)
+    blank = ones(1, len(times))
     plan = ExperimentBatch(tuple(Experiment("plan", d, times, blank) for d in designs))
     truth = predict(SIMULATOR, PARAMETERS.pack(GEL | effect)[None], plan)[0]
     source = generator(seed)
@@ -46,10 +47,8 @@ def fit(batch: ExperimentBatch, hypothesis: Hypothesis | None = None, **effect: 
     """A fit of a hypothesis from the true gel and given values of its effects."""
     prior = (hypothesis or Hypothesis(BASE)).belief
     values = GEL | effect
-    start = prior.to_controls(
-        torch.tensor([values[name] for name in prior.names], dtype=torch.float64)
-    )
+    start = prior.to_controls(tensor([values[name] for name in prior.names]))
     starts = torch.stack((start, start + 0.003))
-    belief = Belief((prior,), torch.zeros(1, dtype=torch.float64))
+    belief = Belief((prior,), zeros(1))
     options = SearchOptions(starts=2)
     return assimilate(belief, batch, SIMULATOR, seed=0, options=options, starts=[starts]).fits[0]

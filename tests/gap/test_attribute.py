@@ -2,28 +2,19 @@
 effect that is enough alone.
 """
 
-from dataclasses import replace
-
 import pytest
 
 from imr_torch.assimilate import SearchOptions
 from imr_torch.gap.adequacy import adequacy_test
-from imr_torch.gap.attribute import Attribution, attribute, reconsider
-from imr_torch.gap.fits import fit_hypotheses
-from imr_torch.gap.hypotheses import Hypothesis, Inquiry, laplace_evidence
-from imr_torch.gap.verdict import CheckedEvidence
+from imr_torch.gap.attribute import Attribution, Inquiry, attribute, reconsider
+from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, laplace_evidence
 from imr_torch.material import LIBRARY
-from imr_torch.simulate import (
-    PolytropicSimulator,
-    TransportSimulator,
-    fewer_steps,
-)
 from tests.gap.synthetic import BASE, SIMULATOR, fit, shoot
 
 EFFECTS = (LIBRARY["gas_loss"], LIBRARY["surface_tension"])
 
 
-def test_that_the_credible_set_is_the_smallest_that_reaches_its_level() -> None:
+def test_that_the_credible_set_is_the_smallest_that_reaches_its_level():
     posterior = {"a": 0.6, "b": 0.3, "none": 0.06, "other": 0.04}
     base = Hypothesis(BASE)
     found = Attribution(base, {"none": base}, {}, {}, posterior, base, None, None)
@@ -32,7 +23,7 @@ def test_that_the_credible_set_is_the_smallest_that_reaches_its_level() -> None:
     assert found.credible_set(0.95) == ("a", "b", "none")
 
 
-def test_that_a_winner_whose_fit_was_cut_short_is_fitted_to_the_end(monkeypatch) -> None:
+def test_that_a_winner_whose_fit_was_cut_short_is_fitted_to_the_end(monkeypatch):
     batch = shoot({"gas_loss": 0.2})
     null = fit(batch)
     monkeypatch.setattr("imr_torch.gap.attribute._FIT", SearchOptions(starts=2, iterations=2))
@@ -49,49 +40,7 @@ def test_that_a_winner_whose_fit_was_cut_short_is_fitted_to_the_end(monkeypatch)
     assert found.log_evidence["gas_loss"] == pytest.approx(laplace_evidence(found.fits["gas_loss"]))
 
 
-def test_that_an_effect_which_sampling_puts_ahead_is_fitted_to_the_end(monkeypatch) -> None:
-    batch = shoot({"gas_loss": 0.2})
-    null = fit(batch)
-    monkeypatch.setattr("imr_torch.gap.attribute._FIT", SearchOptions(starts=2, iterations=2))
-    ahead = CheckedEvidence(laplace=0.0, sampled=1e6, error=0.1, reliable=True)
-    monkeypatch.setattr(
-        "imr_torch.gap.attribute.check_evidence", lambda *_, **__: {"surface_tension": ahead}
-    )
-    found = attribute(
-        Inquiry(BASE, batch, SIMULATOR, EFFECTS),
-        null,
-        Hypothesis(BASE),
-        before=adequacy_test(null, EFFECTS, batch, SIMULATOR, seed=1),
-        seed=0,
-    )
-    assert found.winner.name == "surface_tension"
-    assert found.fits["surface_tension"].certificate.converged
-    assert found.log_evidence["surface_tension"] == 1e6
-
-
-def test_that_a_fit_that_does_not_converge_is_left_out_and_the_next_one_leads(monkeypatch) -> None:
-    batch = shoot({"gas_loss": 0.2})
-    null = fit(batch)
-
-    def never(_, found, *__, **___):
-        loose = replace(found.certificate, converged=False, gradient=1.0)
-        return replace(
-            found, certificate=loose if "gas_loss" in str(found.prior.names) else found.certificate
-        )
-
-    monkeypatch.setattr("imr_torch.gap.attribute._FIT", SearchOptions(starts=2, iterations=1))
-    monkeypatch.setattr("imr_torch.gap.attribute.finish", never)
-    with_wall = (LIBRARY["gas_loss"], LIBRARY["wall"])
-    before = adequacy_test(null, with_wall, batch, SIMULATOR, seed=1)
-    inquiry = Inquiry(BASE, batch, SIMULATOR, with_wall)
-    fits = attribute(inquiry, null, Hypothesis(BASE), before=before, seed=0)
-    assert fits.left_out == ("gas_loss",)
-    assert fits.winner.name == "wall"
-    assert "gas_loss" not in fits.posterior
-    assert sum(fits.posterior.values()) == pytest.approx(1.0)
-
-
-def test_that_an_effect_found_beside_a_wrong_one_is_taken_alone_if_it_explains_more() -> None:
+def test_that_an_effect_found_beside_a_wrong_one_is_taken_alone_if_it_explains_more():
     batch = shoot({"gas_loss": 0.2})
     null = fit(batch)
     wrong = LIBRARY["wall"]
@@ -113,10 +62,3 @@ def test_that_an_effect_found_beside_a_wrong_one_is_taken_alone_if_it_explains_m
     assert again.fits["gas_loss"].certificate.converged
     assert again.posterior["gas_loss"] > 0.9
     assert reconsider(inquiry, again, "wall", both, before=before, seed=0) is again
-
-
-def test_that_few_steps_are_those_of_polytropic_bubbles() -> None:
-    plain = fewer_steps(PolytropicSimulator())
-    assert plain.stepping.max_steps < PolytropicSimulator().stepping.max_steps
-    full = TransportSimulator()
-    assert fewer_steps(full) is full

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from imr_torch.errors import ImrError, InputDataError
+from imr_torch.float64 import tensor
 from imr_torch.material import (
     LIBRARY,
     PARAMETERS,
@@ -19,43 +20,6 @@ from imr_torch.material.parameters import ParameterVector
 from imr_torch.observe import predict
 from tests.gap.synthetic import GEL, SIMULATOR, shoot
 
-NAMES = [
-    "strain_stiffening",
-    "stress_relaxation",
-    "shear_thinning",
-    "damage",
-    "healing_damage",
-    "viscous_damage",
-    "yield_stress",
-    "graded_modulus",
-    "permanent_set",
-    "heat_exchange",
-    "vapour_pressure",
-    "condensation",
-    "gas_loss",
-    "excess_gas",
-    "hot_contents",
-    "rinf_drift",
-    "sound_speed",
-    "compressibility",
-    "surface_tension",
-    "far_field_pressure",
-    "density",
-    "wall",
-    "energy_loss",
-    "size_drag",
-    "residual_velocity",
-    "sound_field",
-    "pulse",
-    "missed_maximum",
-    "trigger_offset",
-    "rinf_bias",
-    "clock",
-    "exposure_blur",
-    "refraction",
-    "edge_error",
-]
-
 
 @pytest.fixture(scope="module")
 def batch():
@@ -67,14 +31,8 @@ def seen(batch, values: dict[str, float]):
     return predict(SIMULATOR, PARAMETERS.pack(GEL | values)[None], batch)[0]
 
 
-def test_that_the_library_is_complete() -> None:
-    assert sorted(LIBRARY) == sorted(NAMES)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_that_at_its_neutral_value_it_is_the_base_exactly_and_at_a_start_it_is_not(
-    batch, name: str
-) -> None:
+@pytest.mark.parametrize("name", LIBRARY)
+def test_that_at_its_neutral_value_it_is_the_base_exactly_and_at_a_start_it_is_not(batch, name):
     effect = LIBRARY[name]
     base = seen(batch, {})
     for start in effect.starts:
@@ -83,8 +41,8 @@ def test_that_at_its_neutral_value_it_is_the_base_exactly_and_at_a_start_it_is_n
         assert float((seen(batch, values) - base).abs().amax()) > 1e-5
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_that_it_says_where_it_acts_in_which_units_and_how_large_it_may_be(name: str) -> None:
+@pytest.mark.parametrize("name", LIBRARY)
+def test_that_it_says_where_it_acts_in_which_units_and_how_large_it_may_be(name):
     effect = LIBRARY[name]
     assert effect.name == name
     assert effect.place in ("material", "gas", "liquid", "geometry", "driving", "measurement")
@@ -92,15 +50,17 @@ def test_that_it_says_where_it_acts_in_which_units_and_how_large_it_may_be(name:
     for i, (parameter, prior) in enumerate(effect.priors.items()):
         assert PARAMETERS[parameter].unit
         for start in effect.starts:
-            control = prior.to_control(torch.tensor(start[i], dtype=torch.float64))
+            control = prior.to_control(tensor(start[i]))
             assert bool(control.abs() < 3.0)
     mates = [other for other in LIBRARY.values() if other.family == effect.family]
     assert len(mates) == 1 or effect.group
 
 
-def test_that_effects_are_offered_by_name_and_to_bases_that_they_can_act_on() -> None:
+def test_that_effects_are_offered_by_name_and_to_bases_that_they_can_act_on():
     assert [e.name for e in library(["pulse", "wall"])] == ["pulse", "wall"]
     assert len(library(without=["pulse"])) == len(library()) - 1
+    assert "compressibility" not in [effect.name for effect in library()]  # where it is named
+    assert [effect.name for effect in library(["compressibility"])] == ["compressibility"]
     assert "strain_stiffening" in {e.name for e in library(base="nhkv")}
     assert "strain_stiffening" not in {e.name for e in library(base="gen_qkv")}
     assert not {"strain_stiffening", "damage", "permanent_set"} & {
@@ -120,14 +80,12 @@ def test_that_effects_are_offered_by_name_and_to_bases_that_they_can_act_on() ->
         (TruncatedNormal(0.0, 0.1, lower=0.0), (0.03, 0.12)),
     ],
 )
-def test_that_usual_starts_are_on_either_side_or_two_sizes_of_a_one_sided_effect(
-    prior, starts
-) -> None:
+def test_that_usual_starts_are_on_either_side_or_two_sizes_of_a_one_sided_effect(prior, starts):
     effect = Effect("x", "an effect of one parameter", "geometry", {"wall": prior})
     assert [start for (start,) in effect.starts] == pytest.approx(starts)
 
 
-def test_that_an_effect_is_offered_to_models_that_have_what_it_needs() -> None:
+def test_that_an_effect_is_offered_to_models_that_have_what_it_needs():
     prior = TruncatedNormal(0.0, 0.1)
     free, bound = (
         Effect("x", "a wall that needs", "liquid", {"wall": prior}, needs=needs)
@@ -138,21 +96,9 @@ def test_that_an_effect_is_offered_to_models_that_have_what_it_needs() -> None:
     assert bound.applies("nhkv")
     assert not bound.applies("newtonian")
     assert not free.applies("nhkv+wall")
-    assert {e.name for e in LIBRARY.values() if e.needs == "G"} == {
-        "strain_stiffening",
-        "damage",
-        "healing_damage",
-        "graded_modulus",
-        "permanent_set",
-    }
-    assert {e.name for e in LIBRARY.values() if e.needs == "mu"} == {
-        "stress_relaxation",
-        "shear_thinning",
-        "viscous_damage",
-    }
 
 
-def test_that_a_users_effect_is_one_class_and_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_that_a_users_effect_is_one_class_and_is_checked(monkeypatch):
     monkeypatch.setattr(registry, "LIBRARY", dict(LIBRARY))
     prior = TruncatedNormal(0.0, 0.1)
     mine = Effect("slow_wall", "a wall far away", "geometry", {"wall": prior}, ((0.05,), (-0.05,)))
@@ -183,9 +129,7 @@ def test_that_a_users_effect_is_one_class_and_is_checked(monkeypatch: pytest.Mon
         Effect("x", "no such parameter", "geometry", {"wal": prior}, ((0.05,),))
 
 
-def test_that_an_amplitude_that_is_not_neutral_at_zero_is_named(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_that_an_amplitude_that_is_not_neutral_at_zero_is_named(monkeypatch):
     own = ParameterVector()
     own.register(
         Parameter("slow", "a factor, which does nothing at one", "1", "none", 0.0, 2.0, 1.0)
@@ -193,8 +137,3 @@ def test_that_an_amplitude_that_is_not_neutral_at_zero_is_named(
     monkeypatch.setattr(registry, "PARAMETERS", own)
     with pytest.raises(InputDataError, match="its amplitude 'slow' must be neutral at zero"):
         Effect("x", "a factor", "geometry", {"slow": TruncatedNormal(0.0, 0.1)})
-
-
-def test_that_what_is_not_offered_is_tried_where_it_is_named() -> None:
-    assert "compressibility" not in [effect.name for effect in library()]
-    assert [effect.name for effect in library(["compressibility"])] == ["compressibility"]

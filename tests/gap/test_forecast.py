@@ -9,6 +9,7 @@ from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.design import Plan
+from imr_torch.float64 import linspace, ones, randn, tensor
 from imr_torch.gap.hypotheses import Hypothesis
 from imr_torch.gap.identity_design import NextDesign, identity_design, judge_design, plan_of
 from imr_torch.material import LIBRARY
@@ -17,16 +18,16 @@ from imr_torch.random import generator
 from tests.gap.synthetic import BASE, DESIGNS, SIMULATOR, fit, shoot
 
 NOISE = Noise(scale=4.0)
-PLAN = Plan(times=torch.linspace(0.0, 2.0, 21, dtype=torch.float64), noise=NOISE, collapses=None)
+PLAN = Plan(times=linspace(0.0, 2.0, 21), noise=NOISE, collapses=None)
 CAUSES = {"strain_stiffening": {"alpha": 0.05}, "damage": {"damage": 0.02}}
 EVEN = dict.fromkeys(CAUSES, 0.5)
 UNEVEN = {"strain_stiffening": 0.7, "damage": 0.3}
-DESIGN = torch.tensor([800.0, 0.15]).double()
-POOR = torch.tensor([100.0, 0.3]).double()
+DESIGN = tensor([800.0, 0.15])
+POOR = tensor([100.0, 0.3])
 
 
 @pytest.fixture(scope="module")
-def fits() -> dict[str, ModelFit]:
+def fits():
     """Two causes that are alike in one shot."""
     batch = shoot({"alpha": 0.05}, DESIGNS[:1], repeats=4, end=2.0)
     return {
@@ -56,9 +57,7 @@ def brute_force(
     variance = 0.0
     for name, weight in causes.items():
         truth = curves[name][:data]
-        y = truth + NOISE.sd(truth, PLAN.times) * torch.randn(
-            truth.shape, generator=source, dtype=torch.float64
-        )
+        y = truth + NOISE.sd(truth, PLAN.times) * randn(truth.shape, generator=source)
         logs = torch.stack(
             [math.log(p) + evidence(y, curves[other][data:]) for other, p in causes.items()]
         )
@@ -70,7 +69,7 @@ def brute_force(
 
 def drawn(own: ModelFit, count: int, source: torch.Generator) -> Tensor:
     """Parameters of gels drawn from a posterior."""
-    noise = torch.randn(count, len(own.mean), generator=source, dtype=torch.float64)
+    noise = randn(count, len(own.mean), generator=source)
     return own.posterior.parameters(own.posterior.mean + noise @ own.posterior.chol.mT)
 
 
@@ -81,7 +80,7 @@ def evidence(y: Tensor, curves: Tensor) -> Tensor:
 
 
 @pytest.mark.parametrize("causes", [EVEN, UNEVEN], ids=["even", "uneven"])
-def test_that_the_stated_probability_is_that_of_brute_force(fits, causes) -> None:
+def test_that_the_stated_probability_is_that_of_brute_force(fits, causes):
     stated = ahead(fits, causes=causes, draws=150)
     value, error = brute_force(fits, causes, DESIGN)
     assert stated.after == pytest.approx(value, abs=3.0 * math.hypot(error, stated.after_error))
@@ -89,7 +88,7 @@ def test_that_the_stated_probability_is_that_of_brute_force(fits, causes) -> Non
     assert stated.after > stated.now + 3.0 * stated.after_error
 
 
-def test_that_the_proposed_design_beats_a_poor_one(fits) -> None:
+def test_that_the_proposed_design_beats_a_poor_one(fits):
     """Both judged by brute force, which the search has not seen."""
     found = identity_design(fits, EVEN, SIMULATOR, seed=0, plan=PLAN, designs=4, draws=8)
     (best, error), (poor, other) = (
@@ -98,7 +97,7 @@ def test_that_the_proposed_design_beats_a_poor_one(fits) -> None:
     assert best > poor + 3.0 * math.hypot(error, other)
 
 
-def test_that_repeats_raise_the_gain_and_nuisances_lower_it(fits) -> None:
+def test_that_repeats_raise_the_gain_and_nuisances_lower_it(fits):
     few = ahead(fits)
     many = ahead(fits, plan=replace(PLAN, repeats=8))
     blurred = ahead(fits, plan=replace(PLAN, nuisance=Nuisance(0.01, 0.01, 0.03)))
@@ -107,7 +106,7 @@ def test_that_repeats_raise_the_gain_and_nuisances_lower_it(fits) -> None:
     assert many.gain > few.gain > blurred.gain
 
 
-def test_that_a_shot_that_cannot_tell_leaves_the_probability(fits) -> None:
+def test_that_a_shot_that_cannot_tell_leaves_the_probability(fits):
     """The noise is the same at every radius: one that grows with it tells of the radius itself."""
     noisy = replace(PLAN, noise=Noise(scale=1e4, slope=0.0, drift=0.0))
     found = ahead(fits, plan=noisy, causes=UNEVEN)
@@ -115,14 +114,14 @@ def test_that_a_shot_that_cannot_tell_leaves_the_probability(fits) -> None:
     assert not found.helps
 
 
-def test_that_the_plan_is_the_median_of_the_data() -> None:
+def test_that_the_plan_is_the_median_of_the_data():
     def shot(repeats: int, frames: int, sd: float) -> Experiment:
-        times = torch.linspace(0.0, frames / 20, frames, dtype=torch.float64)
+        times = linspace(0.0, frames / 20, frames)
         return Experiment(
             "shot",
             (400.0, 0.2),
             times,
-            torch.ones(repeats, frames).double(),
+            ones(repeats, frames),
             Nuisance(sd, 0.004, 0.0),
         )
 

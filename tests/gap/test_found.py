@@ -3,9 +3,9 @@ do not.
 """
 
 import pytest
-import torch
 
 from imr_torch.assimilate import ModelFit
+from imr_torch.float64 import tensor
 from imr_torch.gap.hypotheses import Hypothesis, laplace_evidence
 from imr_torch.material import LIBRARY, Effect, TruncatedNormal, library
 from tests.gap.synthetic import BASE, DESIGNS, fit, shoot
@@ -55,20 +55,20 @@ def matched():
 
 
 @effects()
-def test_that_an_effect_is_found_where_it_is(effect: Effect) -> None:
+def test_that_an_effect_is_found_where_it_is(effect):
     values = typical(effect)
     batch = shoot(values, DESIGNS, repeats=REPEATS)
     gain, found = evidence_of(effect, fit(batch), batch, **values)
     assert found.certificate.converged
     place = found.prior.names.index(effect.names[0])
     name = effect.names[0]
-    truth = effect.priors[name].to_control(torch.tensor(values[name], dtype=torch.float64))
+    truth = effect.priors[name].to_control(tensor(values[name]))
     assert abs(float(found.mean[place] - truth)) < 4.0 * float(found.chol[place].norm())
     assert (gain > CLAIMED) == (effect.name not in FAINT)
 
 
 @effects(*SLOW)
-def test_that_an_effect_is_not_claimed_where_there_is_none(effect: Effect, matched) -> None:
+def test_that_an_effect_is_not_claimed_where_there_is_none(effect, matched):
     batch, null = matched
     start = dict(zip(effect.names, effect.starts[0], strict=True))
     assert evidence_of(effect, null, batch, **start)[0] < CLAIMED

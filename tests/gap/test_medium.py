@@ -7,6 +7,7 @@ import torch
 
 from imr_torch import PolytropicSimulator, wide_prior
 from imr_torch.assimilate import ModelFit, SearchOptions, assimilate
+from imr_torch.float64 import linspace, tensor
 from imr_torch.gap import medium_sensitivities
 from imr_torch.gap.medium import DEVIATIONS
 from imr_torch.material import PARAMETERS
@@ -28,9 +29,9 @@ def batch(repeats: int) -> ExperimentBatch:
     nuisance = Nuisance(max_radius=0.003, time_zero=0.004, rest_radius=0.01)
     laboratory = SimulatedLaboratory(
         SIMULATOR, PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=repeats, nuisance=nuisance,
-        times=torch.linspace(0.0, 2.5, 51, dtype=torch.float64),
+        times=linspace(0.0, 2.5, 51),
     )  # fmt: skip
-    designs = torch.tensor([[400.0, 0.22], [250.0, 0.17]], dtype=torch.float64)
+    designs = tensor([[400.0, 0.22], [250.0, 0.17]])
     return ExperimentBatch(
         tuple(laboratory.shoot(design, seed=i) for i, design in enumerate(designs))
     )
@@ -43,13 +44,13 @@ def fit_of(data: ExperimentBatch, prior=None) -> ModelFit:
 
 
 @pytest.fixture(scope="module")
-def many() -> tuple[ExperimentBatch, ModelFit]:
+def many():
     data = batch(30)
     return data, fit_of(data)
 
 
 @pytest.mark.parametrize("field", ["density", "sound_speed", "far_field_pressure"])
-def test_that_the_shift_is_that_of_a_refit(many, field: str) -> None:
+def test_that_the_shift_is_that_of_a_refit(many, field):
     """The medium is moved a fifth of the deviation, so that the refit stays linear."""
     data, fit = many
     (found,) = [
@@ -90,9 +91,7 @@ def _held(fit: ModelFit, name: str, value: float, data: ExperimentBatch) -> Mode
     return assimilate(wide_prior(["nhkv"]), data, Moved(), seed=0, options=OPTIONS).fits[0]
 
 
-def test_that_what_is_stated_or_inferred_is_not_listed_and_what_does_not_matter_neither(
-    many,
-) -> None:
+def test_that_what_is_stated_or_inferred_is_not_listed_and_what_does_not_matter_neither(many):
     data, fit = many
     listed = [x.name for x in medium_sensitivities(fit, data, SIMULATOR, GelMedium())]
     assert {"density", "far_field_pressure"} <= set(listed)
@@ -108,7 +107,7 @@ def test_that_what_is_stated_or_inferred_is_not_listed_and_what_does_not_matter_
     ]
 
 
-def test_that_the_sentence_names_value_deviation_and_shift(many) -> None:
+def test_that_the_sentence_names_value_deviation_and_shift(many):
     data, fit = many
     (found,) = [
         x for x in medium_sensitivities(fit, data, SIMULATOR, GelMedium()) if x.name == "density"

@@ -14,7 +14,7 @@ from tests.gap.synthetic import BASE, DESIGNS, fit, shoot
 
 
 @pytest.fixture(scope="module")
-def known() -> ModelFit:
+def known():
     return fit(shoot({}, DESIGNS[:1], repeats=2, end=1.5))
 
 
@@ -31,7 +31,7 @@ def _short(times: list[int]):
     return search
 
 
-def test_that_a_fit_without_time_to_arrive_is_taken_up_again(monkeypatch) -> None:
+def test_that_a_fit_without_time_to_arrive_is_taken_up_again(monkeypatch):
     batch = shoot({}, DESIGNS[:1], repeats=10, end=1.5)
     inquiry = Inquiry(BASE, batch, PolytropicSimulator())
     monkeypatch.setattr(fits, "assimilate", _short([1]))
@@ -54,7 +54,7 @@ def test_that_a_fit_without_time_to_arrive_is_taken_up_again(monkeypatch) -> Non
 )
 def test_that_starts_which_arrived_apart_are_certified_only_if_more_of_them_find_the_minimum_again(
     known, monkeypatch, again, agreement, cost, converged
-) -> None:
+):
     def ended(cost: float, agreement: float, converged: bool) -> ModelFit:
         certificate = replace(
             known.certificate, gradient=1e-5, agreement=agreement, converged=converged
@@ -74,35 +74,3 @@ def test_that_starts_which_arrived_apart_are_certified_only_if_more_of_them_find
     fit = fits.fit_null(inquiry, seed=0)
     assert (fit.cost, fit.certificate.converged) == (cost, converged)
     assert asked == [3, 6]
-
-
-@pytest.mark.parametrize(
-    ("gradient", "cost", "more", "converged"),
-    [
-        (0.02, -2.8, 5.0, True),  # as before
-        (0.02, -2.0, 5.0, False),  # another minimum
-        (0.4, -2.8, 5.0, False),  # starts that were far away
-        (0.4, -2.8, 0.01, True),  # the same, and more starts beside it find it too
-    ],
-)
-def test_that_a_fit_taken_up_again_counts_the_agreement_of_starts_that_were_all_but_there(
-    known, monkeypatch, gradient, cost, more, converged
-) -> None:
-    before = replace(
-        known,
-        cost=-3.0,
-        certificate=replace(known.certificate, gradient=gradient, agreement=1e-3, converged=False),
-    )
-    apart = replace(known.certificate, gradient=1e-5, agreement=84.0, converged=False)
-    ended = replace(known, cost=cost, certificate=apart)
-
-    def search(belief, batch, *_, near=None, **__):
-        return Assimilation(
-            belief, batch, (ended if near is not None else replace(ended, cost=cost + more),)
-        )
-
-    monkeypatch.setattr(fits, "assimilate", search)
-    batch = shoot({}, DESIGNS[:1], repeats=2, end=1.5)
-    inquiry = Inquiry(BASE, batch, PolytropicSimulator())
-    again = fits.finish(inquiry, before, Hypothesis(BASE), seed=0)
-    assert again.certificate.converged is converged

@@ -8,8 +8,9 @@ import pytest
 import torch
 
 from imr_torch.assimilate import ModelFit
-from imr_torch.gap import adequacy
-from imr_torch.gap.adequacy import refitted_directions
+from imr_torch.float64 import full
+from imr_torch.gap import refitted
+from imr_torch.gap.refitted import refitted_directions
 from imr_torch.goodness.linear import Linearisation, linearise_fit
 from imr_torch.goodness.score import effect_directions
 from imr_torch.material import LIBRARY, Effect
@@ -37,7 +38,7 @@ def left_of(
 
 
 @pytest.fixture(scope="module", params=[Nuisance(), NUISANCE], ids=["exact", "nuisances"])
-def matched(request) -> tuple[ModelFit, ExperimentBatch, Linearisation]:
+def matched(request):
     """The fit of a matched set, and its neighbourhood."""
     batch = shoot({}, repeats=REPEATS, nuisance=request.param)
     best = fit(batch)
@@ -47,7 +48,7 @@ def matched(request) -> tuple[ModelFit, ExperimentBatch, Linearisation]:
 @pytest.mark.parametrize(
     ("name", "value"), [("heat_exchange", 0.8), ("damage", 0.03), ("sound_speed", 0.3)]
 )
-def test_that_it_is_what_a_real_refit_leaves(matched, name, value) -> None:
+def test_that_it_is_what_a_real_refit_leaves(matched, name, value):
     best, batch, line = matched
     effect = one_start(name, value)
     first, beside = left_of(effect, best, batch, line)
@@ -62,19 +63,19 @@ def test_that_it_is_what_a_real_refit_leaves(matched, name, value) -> None:
     assert first > 1.2 * beside
 
 
-def test_that_a_small_effect_is_left_as_it_is(matched) -> None:
+def test_that_a_small_effect_is_left_as_it_is(matched):
     first, beside = left_of(one_start("gas_loss", 1e-4), *matched)
     assert beside == pytest.approx(first, rel=0.02)
 
 
-def test_that_a_gel_that_cannot_be_simulated_leaves_the_first_order(matched, monkeypatch) -> None:
+def test_that_a_gel_that_cannot_be_simulated_leaves_the_first_order(matched, monkeypatch):
     best, batch, line = matched
     effect = one_start("heat_exchange", 0.8)
     raw = effect_directions([effect], best, batch, SIMULATOR, line)
     monkeypatch.setattr(
         adequacy,
         "predict_changed",
-        lambda *_: torch.full((1, *batch.times.shape), torch.nan, dtype=torch.float64),
+        lambda *_: full((1, *batch.times.shape), torch.nan),
     )
     beside = refitted_directions([effect], best, batch, SIMULATOR, line, raw)
     torch.testing.assert_close(beside["heat_exchange"], raw["heat_exchange"])

@@ -9,23 +9,17 @@ import pytest
 import torch
 
 from imr_torch import example_gel, load_traces
-from imr_torch.assimilate.slow_noise import BesideSlowNoise
+from imr_torch.float64 import arange, linspace, rand, randn, tensor, zeros
 from imr_torch.gap import diagnose, library
 from imr_torch.gap.held_out import HeldOut, Judged, default_folds, held_out, judge_designs
 from imr_torch.gap.hypotheses import Hypothesis
 from imr_torch.gap.shrinkage import (
-    _KNOTS,
     Shrinkage,
     _interval,
-    _random_changes,
-    _select_random,
     shrinkage,
 )
-from imr_torch.goodness.linear import linearise_fit
-from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, prepare
-from imr_torch.random import generator
+from imr_torch.observe import Experiment, ExperimentBatch, Noise, prepare
 from imr_torch.simulate import TransportSimulator
-from tests.assimilate.test_frame_noise import smooth
 from tests.gap.synthetic import BASE, DESIGNS, SIMULATOR, fit, shoot
 
 RIVALS = ["wall", "sound_speed"]
@@ -43,7 +37,7 @@ def withheld():
     return diagnose(shots, effects=library(RIVALS), simulator=SIMULATOR)
 
 
-def test_that_the_right_effect_closes_the_gap_and_random_ones_do_not(right) -> None:
+def test_that_the_right_effect_closes_the_gap_and_random_ones_do_not(right):
     found = shrinkage(right, SIMULATOR)
     low, middle, high = found.share
     assert low <= middle <= high
@@ -57,28 +51,28 @@ def test_that_the_right_effect_closes_the_gap_and_random_ones_do_not(right) -> N
     assert found.word(right.adequacy_p) == "closed"
 
 
-def test_that_what_was_selected_in_its_place_is_not_called_closed(withheld) -> None:
+def test_that_what_was_selected_in_its_place_is_not_called_closed(withheld):
     found = shrinkage(withheld, SIMULATOR)
     assert withheld.verdict == "other"
     assert found.share[0] < 0.85
     assert found.word(withheld.adequacy_p) != "closed"
 
 
-def test_that_each_experiment_is_held_out_once_and_at_most_a_quarter_of_many_at_a_time() -> None:
+def test_that_each_experiment_is_held_out_once_and_at_most_a_quarter_of_many_at_a_time():
     for count in (2, 5, 6, 10):
         groups = default_folds(count)
         assert sorted(i for group in groups for i in group) == list(range(count))
         assert max(len(group) for group in groups) <= max(1, math.ceil(count / 4))
 
 
-def test_that_curves_held_out_before_the_fits_judge_what_was_selected_with_all(right) -> None:
+def test_that_curves_held_out_before_the_fits_judge_what_was_selected_with_all(right):
     unseen = shoot({"gas_loss": 0.3}, ((300.0, 0.22), (550.0, 0.18)), repeats=10, seed=7, end=2.4)
     found = shrinkage(right, SIMULATOR, unseen)
     assert found.share[1] == pytest.approx(1.0, abs=0.1)
     assert len(found.selected) == 2
 
 
-def test_that_the_curve_that_judges_has_no_say_in_what_is_selected() -> None:
+def test_that_the_curve_that_judges_has_no_say_in_what_is_selected():
     """An effect that acts in one curve alone is not selected without it."""
     quiet = shoot({}, DESIGNS[:2], repeats=10, end=2.4).experiments
     (loud,) = shoot({"gas_loss": 0.6}, DESIGNS[2:], repeats=10, end=2.4).experiments
@@ -93,15 +87,15 @@ def test_that_the_curve_that_judges_has_no_say_in_what_is_selected() -> None:
 def pair(bias: float, freedom: int, seed: int) -> Judged:
     """A held-out design whose effect predicts no better than the base, with more freedom of its own."""
     source = torch.Generator().manual_seed(seed)
-    times = torch.linspace(0.0, 2.4, 90, dtype=torch.float64)
+    times = linspace(0.0, 2.4, 90)
     radius = 0.2 + 0.8 * torch.cos(1.7 * times).abs()
     batch = ExperimentBatch((Experiment("shot", (400.0, 0.2), times, radius[None]),))
-    rows = torch.arange(90, dtype=torch.float64) / 90.0
-    numbers = torch.arange(freedom, dtype=torch.float64)
+    rows = arange(90) / 90.0
+    numbers = arange(freedom)
     smooth = torch.cos(torch.pi * rows[:, None] * numbers)
-    gap = bias * torch.sin(7.0 * rows + 6.0 * torch.rand(1, generator=source, dtype=torch.float64))
-    residual = gap + torch.randn(90, generator=source, dtype=torch.float64)
-    nothing = torch.zeros(90, 0, dtype=torch.float64)
+    gap = bias * torch.sin(7.0 * rows + 6.0 * rand(1, generator=source))
+    residual = gap + randn(90, generator=source)
+    nothing = zeros(90, 0)
 
     class Line:
         pass
@@ -112,14 +106,14 @@ def pair(bias: float, freedom: int, seed: int) -> Judged:
     def held(by_nuisance: torch.Tensor) -> HeldOut:
         fitted = torch.linalg.lstsq(by_nuisance, residual).solution if by_nuisance.numel() else None
         left = residual if fitted is None else residual - by_nuisance @ fitted
-        values = torch.zeros(0, dtype=torch.float64) if fitted is None else fitted
+        values = zeros(0) if fitted is None else fitted
         return HeldOut(Hypothesis(BASE), left, by_nuisance, values, nothing, line, True)
 
     return Judged(held(nothing), held(smooth), line)
 
 
 @pytest.mark.parametrize("freedom", [2, 4, 8])
-def test_that_freedom_alone_earns_nothing(freedom: int) -> None:
+def test_that_freedom_alone_earns_nothing(freedom):
     """Directions of its own close much of a gap in the plain residual, and none of it here."""
     plain = []
     beside = []
@@ -133,58 +127,22 @@ def test_that_freedom_alone_earns_nothing(freedom: int) -> None:
     assert max(map(abs, beside)) < 1e-9
 
 
-def test_that_random_effects_that_are_not_chosen_change_nothing(right) -> None:
-    """Also where noise depends on the radius, so that a fit is no minimum of its whitened squares."""
-    line = linearise_fit(right.trained.null, right.trained.batch, SIMULATOR)
-    assert float((line.basis.mT @ line.residual).norm()) > 0.01
-    weights = torch.randn(4, len(_KNOTS), generator=generator(0), dtype=torch.float64)
-    shift, amplitudes = _select_random(line, weights, 2, 1e-9, None)
-    assert not amplitudes.any()
-    assert not shift.any()
-
-
-@pytest.mark.parametrize("slow", [0.0, 0.02])
-def test_that_a_random_effect_is_chosen_by_the_rule_of_the_selection(right, slow: float) -> None:
-    """Beside slow noise one that the curves hold is chosen; slow deviations that differ between
-    shots choose none there, and then what single frames say decides.
-    """
-    source = generator(0)
-    weights = torch.randn(6, len(_KNOTS), generator=source, dtype=torch.float64)
-    null, batch = right.trained.null, right.trained.batch
-    line = linearise_fit(null, batch, SIMULATOR)
-    seen = line.sd * torch.randn(line.sd.shape, generator=source, dtype=torch.float64)
-    if slow:
-        seen = seen + torch.stack([smooth(slow, times, source) for times in batch.times])
-    else:
-        seen = seen + 0.03 * _random_changes(line, weights)[3]
-    beside = BesideSlowNoise.about(null.linearise(batch, SIMULATOR))
-    beside = replace(beside, residual=beside.whiten(seen[None])[:, 0])
-    line = replace(line, residual=line.whiten(seen))
-    _, amplitudes = _select_random(line, weights, 1, 5.0, beside)
-    _, by_single_frames = _select_random(line, weights, 1, 5.0, None)
-    if slow:
-        assert by_single_frames.any()
-        assert torch.equal(amplitudes, by_single_frames)
-    else:
-        assert amplitudes.nonzero().flatten().tolist() == [3]
-        assert float(amplitudes[3]) == pytest.approx(0.03, rel=0.1)
-
-
-def test_that_the_interval_covers_the_mean_over_curves() -> None:
+def test_that_the_interval_covers_the_mean_over_curves():
     """Of eight curves whose squared gaps scatter, the interval is for the mean over all there are."""
     source = torch.Generator().manual_seed(0)
     inside = 0
     for _ in range(200):
-        base = 5.0 + 10.0 * torch.rand(8, generator=source, dtype=torch.float64)
-        share = 0.6 + 0.3 * torch.randn(8, generator=source, dtype=torch.float64)
-        rows = torch.stack((base, base * (1.0 - share)), 1)[..., None]
-        low, middle, high = _interval(rows, source)
+        base = 5.0 + 10.0 * rand(8, generator=source)
+        share = 0.6 + 0.3 * randn(8, generator=source)
+        rows = [torch.tensor([x]) for x in base]
+        left = [torch.tensor([x]) for x in base * (1.0 - share)]
+        low, middle, high = _interval(rows, left, source)
         assert low <= middle <= high
         inside += low <= 0.6 <= high
     assert 0.83 <= inside / 200 <= 0.95
 
 
-def test_that_words_need_more_than_random_effects_close() -> None:
+def test_that_words_need_more_than_random_effects_close():
     found = Shrinkage((0.7, 0.8, 0.9), None, (0.1,) * 19 + (0.2,), 1.0, 0.0, (("wall",),), True)
     assert found.word(0.5) == "closed"
     assert found.word(0.01) == "partly closed"
@@ -193,35 +151,20 @@ def test_that_words_need_more_than_random_effects_close() -> None:
     assert replace(found, share=None, placebo=()).word(0.5) == "no gap left"
 
 
-def test_that_nothing_is_judged_without_an_effect_or_a_second_curve(right) -> None:
+def test_that_nothing_is_judged_without_an_effect_or_a_second_curve(right):
     nothing = replace(right, selected=Hypothesis(BASE))
     assert shrinkage(nothing, SIMULATOR) is None
     one = replace(right.batch, experiments=right.batch.experiments[:1])
     assert judge_designs(replace(right, batch=one), SIMULATOR, seed=0) == []
 
 
-def test_that_a_fitted_nuisance_takes_a_shifted_clock_out_of_the_residual() -> None:
-    (curve,) = shoot({}, DESIGNS[:1], repeats=0).experiments
-    best = fit(shoot({}, repeats=20))
-    late = [
-        ExperimentBatch(
-            (Experiment("late", DESIGNS[0], curve.times + 0.02, curve.radius, nuisance),)
-        )
-        for nuisance in (Nuisance(), Nuisance(time_zero=0.02))
-    ]
-    known, fitted = (held_out(best, Hypothesis(BASE), one, SIMULATOR) for one in late)
-    assert float(fitted.residual.square().sum()) < 0.5 * float(known.residual.square().sum())
-
-
-def test_that_time_zero_of_a_held_out_curve_is_found_past_the_minima_that_its_collapse_makes() -> (
-    None
-):
+def test_that_time_zero_of_a_held_out_curve_is_found_past_the_minima_that_its_collapse_makes():
     """Largest frames of the example gel are one to two standard deviations late; descents from
     there end frames away.
     """
     experiments = prepare(load_traces(example_gel())).experiments
     best = fit(shoot({}))
-    truth = best.prior.to_controls(torch.tensor([8310.0, 0.093], dtype=torch.float64))
+    truth = best.prior.to_controls(tensor([8310.0, 0.093]))
     known = replace(best, mean=truth)
     noise = Noise(scale=0.33, floor=0.0085)
     for experiment in experiments:
@@ -230,13 +173,13 @@ def test_that_time_zero_of_a_held_out_curve_is_found_past_the_minima_that_its_co
         assert float(found.residual.square().mean()) < 1.0
 
 
-def test_that_a_quiet_phase_takes_nothing_from_the_gap() -> None:
+def test_that_a_quiet_phase_takes_nothing_from_the_gap():
     """Late frames of noise far below the law would cancel what is left of the gap in early ones."""
     gaps = []
     for seed in range(12):
         judged = pair(0.0, 0, seed)
-        phase = judged.phase
-        noise = torch.randn(90, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+        phase = _compared(judged).phase
+        noise = randn(90, generator=torch.Generator().manual_seed(seed))
         residual = torch.where(phase < 2, noise + 1.0, 0.1 * noise)
         loud = replace(judged.base, residual=residual)
         excess = replace(judged, base=loud, effect=loud).excess_by_phase()[0]

@@ -67,7 +67,7 @@ def selected(p_gap: float):
     return selection.select_causes(inquiry, None, left, seed=0)
 
 
-def test_that_even_evidence_gives_the_prior_over_families_back() -> None:
+def test_that_even_evidence_gives_the_prior_over_families_back():
     posterior = probabilities(EVEN, FAMILIES, "none", 1.0)
     assert sum(posterior.values()) == pytest.approx(1.0)
     assert posterior["none"] == pytest.approx(PRIOR_NONE)
@@ -76,9 +76,7 @@ def test_that_even_evidence_gives_the_prior_over_families_back() -> None:
     assert posterior["residual_velocity"] == pytest.approx(0.5 * posterior["gas_loss"])
 
 
-def test_that_evidence_is_weighted_by_its_exponential_and_what_was_not_fitted_counts_for_nothing() -> (
-    None
-):
+def test_that_evidence_is_weighted_by_its_exponential_and_what_was_not_fitted_counts_for_nothing():
     posterior = probabilities(EVEN | {"wall": -3.0 + math.log(40.0)}, FAMILIES, "none", 1.0)
     assert posterior["wall"] == pytest.approx(40.0 * posterior["gas_loss"])
     assert "wall" not in probabilities(
@@ -87,17 +85,13 @@ def test_that_evidence_is_weighted_by_its_exponential_and_what_was_not_fitted_co
 
 
 @pytest.mark.parametrize("factor", [0.01, 1.0, 1e6])
-def test_that_the_odds_of_an_unknown_effect_are_prior_odds_times_the_bayes_factor(
-    factor: float,
-) -> None:
+def test_that_the_odds_of_an_unknown_effect_are_prior_odds_times_the_bayes_factor(factor):
     posterior = probabilities(EVEN | {"wall": 20.0}, FAMILIES, "none", factor)
     known = sum(p for name, p in posterior.items() if name not in ("none", "other"))
     assert posterior["other"] / known == pytest.approx(VERDICT_ODDS * factor)
 
 
-def test_that_two_known_effects_are_rarer_than_one_and_an_unknown_one_must_have_been_seen_through_the_first() -> (
-    None
-):
+def test_that_two_known_effects_are_rarer_than_one_and_an_unknown_one_must_have_been_seen_through_the_first():
     evidence = {"gas_loss": 0.0, "gas_loss+wall": 50.0}
     families = {"gas_loss+wall": "wall"}
     posterior = probabilities(evidence, families, "gas_loss", 0.2, beside=True, masked=0.6)
@@ -116,9 +110,7 @@ def test_that_two_known_effects_are_rarer_than_one_and_an_unknown_one_must_have_
         ({"a": 0.55} | {f"effect {i}": 0.09 for i in range(5)}, {"a"}, False),
     ],
 )
-def test_that_the_set_is_that_of_least_expected_loss(
-    posterior: dict[str, float], members: set[str], decided: bool
-) -> None:
+def test_that_the_set_is_that_of_least_expected_loss(posterior, members, decided):
     """Against all sets of the most probable causes: a further member costs .1, a truth outside 1,
     no verdict .35.
     """
@@ -129,42 +121,33 @@ def test_that_the_set_is_that_of_least_expected_loss(
     assert found.loss == pytest.approx(min(*losses, 0.35))
 
 
-def test_that_a_probable_effect_is_named_alone() -> None:
-    found = named({"gas_loss": 0.93, "wall": 0.02, "none": 0.01, "other": 0.04}, "gas_loss")
-    assert (found.verdict, found.cause) == ("effect", ("gas_loss",))
-
-
-def test_that_effects_that_share_the_probability_are_a_class() -> None:
-    found = named({"gas_loss": 0.5, "wall": 0.45, "none": 0.01, "other": 0.04}, "gas_loss")
-    assert (found.verdict, found.cause) == ("class", ("gas_loss", "wall"))
-
-
-def test_that_an_unknown_effect_is_a_member_beside_the_one_named() -> None:
-    found = named({"gas_loss": 0.8, "wall": 0.02, "none": 0.01, "other": 0.17}, "gas_loss")
-    assert (found.verdict, found.cause) == ("effect", ("gas_loss",))
-    assert found.choice.members == {"gas_loss": 0.8, "other": 0.17}
+@pytest.mark.parametrize(
+    ("gas_loss", "wall", "other", "verdict", "cause", "members"),
+    [
+        (0.93, 0.02, 0.04, "effect", ("gas_loss",), ("gas_loss",)),
+        (0.5, 0.45, 0.04, "class", ("gas_loss", "wall"), ("gas_loss", "wall")),
+        (0.8, 0.02, 0.17, "effect", ("gas_loss",), ("gas_loss", "other")),
+    ],
+)
+def test_that_a_probable_effect_is_named_alone_and_rivals_are_named_with_it(
+    gas_loss, wall, other, verdict, cause, members
+):
+    posterior = {"gas_loss": gas_loss, "wall": wall, "none": 0.01, "other": other}
+    found = named(posterior, "gas_loss")
+    assert (found.verdict, found.cause) == (verdict, cause)
+    assert tuple(found.choice.members) == members
+    assert named(posterior, "gas_loss", converged=False).verdict == "undecided"
 
 
 @pytest.mark.parametrize(("none", "verdict"), [(0.09, "effect"), (0.34, "undecided")])
-def test_that_nobody_is_named_while_the_base_model_alone_is_probable(
-    none: float, verdict: str
-) -> None:
+def test_that_nobody_is_named_while_the_base_model_alone_is_probable(none, verdict):
     found = named({"gas_loss": 0.96 - none, "none": none, "other": 0.04}, "gas_loss")
     assert found.verdict == verdict
     assert found.cause == ("gas_loss",)
 
 
-def test_that_a_leader_without_a_certificate_is_no_verdict() -> None:
-    assert (
-        named({"gas_loss": 0.96, "none": 0.0, "other": 0.04}, "gas_loss", converged=False).verdict
-        == "undecided"
-    )
-
-
 @pytest.mark.parametrize(("none", "verdict"), [(0.6, "none"), (0.02, "effect")])
-def test_that_the_evidence_takes_a_gap_back_that_no_effect_explains(
-    monkeypatch, none: float, verdict: str
-) -> None:
+def test_that_the_evidence_takes_a_gap_back_that_no_effect_explains(monkeypatch, none, verdict):
     found = attribution({"gas_loss": 0.96 - none, "none": none, "other": 0.04}, "gas_loss")
     monkeypatch.setattr(selection, "attribute", lambda *_, **__: found)
     finding = selected(0.02)
@@ -173,9 +156,7 @@ def test_that_the_evidence_takes_a_gap_back_that_no_effect_explains(
 
 
 @pytest.mark.parametrize(("other", "cause"), [(0.1, ("wall",)), (0.9, ("gas_loss", "wall"))])
-def test_that_a_first_effect_is_dropped_where_the_second_is_enough_alone(
-    monkeypatch, other: float, cause: tuple[str, ...]
-) -> None:
+def test_that_a_first_effect_is_dropped_where_the_second_is_enough_alone(monkeypatch, other, cause):
     first = attribution({"gas_loss": 0.0, "none": 0.0, "other": 1.0}, "gas_loss", p_adequate=1e-6)
     probable = {"gas_loss+wall": 0.96, "none": 0.0, "other": 0.04}
     both = attribution(probable, "gas_loss+wall", held=hypothesis("gas_loss"), nats=20.0)
@@ -192,9 +173,7 @@ def test_that_a_first_effect_is_dropped_where_the_second_is_enough_alone(
 @pytest.mark.parametrize(
     ("nats", "said"), [(40.0, "nearest comes gas_loss (40 nats;"), (0.3, "explains any of it")]
 )
-def test_that_other_says_what_came_nearest_only_if_that_explains_something(
-    monkeypatch, nats: float, said: str
-) -> None:
+def test_that_other_says_what_came_nearest_only_if_that_explains_something(monkeypatch, nats, said):
     found = attribution({"gas_loss": 0.0, "none": 0.0, "other": 1.0}, "gas_loss", p_adequate=1e-6)
     monkeypatch.setattr(selection, "attribute", lambda *_, **__: found)
     monkeypatch.setattr(selection, "laplace_evidence", lambda fit: 0.0 if fit is None else nats)
@@ -203,7 +182,7 @@ def test_that_other_says_what_came_nearest_only_if_that_explains_something(
     assert said in finding.reason
 
 
-def test_that_other_needs_a_certificate_of_what_came_nearest(monkeypatch) -> None:
+def test_that_other_needs_a_certificate_of_what_came_nearest(monkeypatch):
     found = attribution(
         {"gas_loss": 0.0, "none": 0.0, "other": 1.0}, "gas_loss", p_adequate=1e-6, converged=False
     )
@@ -214,9 +193,7 @@ def test_that_other_needs_a_certificate_of_what_came_nearest(monkeypatch) -> Non
     assert "the fit with gas_loss did not converge" in finding.reason
 
 
-def test_that_slow_noise_has_its_prior_and_deviations_alike_in_all_shots_as_an_unknown_effect() -> (
-    None
-):
+def test_that_slow_noise_has_its_prior_and_deviations_alike_in_all_shots_as_an_unknown_effect():
     posterior = probabilities(EVEN, FAMILIES, "none", 1.0, smooth=(-3.0, -3.0))
     plain = probabilities(EVEN, FAMILIES, "none", 1.0)
     assert sum(posterior.values()) == pytest.approx(1.0)
@@ -236,7 +213,7 @@ def test_that_slow_noise_has_its_prior_and_deviations_alike_in_all_shots_as_an_u
     assert alike["other"] > 0.999
 
 
-def test_that_slow_noise_is_no_effect_and_is_said_with_what_would_decide(monkeypatch) -> None:
+def test_that_slow_noise_is_no_effect_and_is_said_with_what_would_decide(monkeypatch):
     found = attribution(
         {"gas_loss": 0.05, "none": 0.05, "other": 0.4, "slow_noise": 0.5}, "gas_loss"
     )
@@ -248,7 +225,7 @@ def test_that_slow_noise_is_no_effect_and_is_said_with_what_would_decide(monkeyp
     assert (doubtful.verdict, doubtful.cause) == ("undecided", ("gas_loss",))
 
 
-def test_that_a_cause_is_not_sure_where_a_fit_ahead_of_it_did_not_converge() -> None:
+def test_that_a_cause_is_not_sure_where_a_fit_ahead_of_it_did_not_converge():
     found = attribution({"gas_loss": 0.96, "none": 0.0, "other": 0.04}, "gas_loss")
     found = replace(
         found, left_out=("wall",), hypotheses=found.hypotheses | {"wall": hypothesis("wall")}

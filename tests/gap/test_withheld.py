@@ -18,13 +18,13 @@ def experiments():
     return shoot({TRUTH: 0.3}, DESIGNS).experiments
 
 
-def test_that_an_effect_is_named_where_it_is_offered(experiments) -> None:
+def test_that_an_effect_is_named_where_it_is_offered(experiments):
     report = diagnose(experiments, effects=library([TRUTH, *RIVALS]), simulator=SIMULATOR, seed=1)
     assert (report.verdict, report.cause) == ("effect", (TRUTH,))
     assert report.converged
 
 
-def test_that_it_is_other_where_it_was_withheld(experiments) -> None:
+def test_that_it_is_other_where_it_was_withheld(experiments):
     report = diagnose(experiments, effects=library(RIVALS), simulator=SIMULATOR, seed=1)
     assert (report.verdict, report.cause) == ("other", ())
     said = re.fullmatch(

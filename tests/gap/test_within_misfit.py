@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from imr_torch.float64 import randn, tensor
 from imr_torch.gap import GapReport, diagnose, library, to_json
 from imr_torch.gap.hypotheses import EXPLAINS
 from imr_torch.gap.selection import weigh_beside_slow
@@ -31,8 +32,8 @@ def single_curves(effect: dict[str, float], deviation: float) -> list[Experiment
     shots = []
     for experiment in shoot(effect, DESIGNS, repeats=0, end=2.5).experiments:
         times = experiment.times
-        sizes, phases = torch.randn(2, 3, 1, generator=source, dtype=torch.float64)
-        waves = torch.tensor([[0.5], [1.0], [1.5]]).double() * times + phases
+        sizes, phases = randn(2, 3, 1, generator=source)
+        waves = tensor([[0.5], [1.0], [1.5]]) * times + phases
         slow = deviation * (sizes * torch.sin(2.0 * math.pi * waves)).sum(0)
         seen = (experiment.radius[0] + slow).clamp_min(0.02)
         shots.append(replace(experiment, radius=LAW.draw(seen, times, 1, generator=source)))
@@ -55,19 +56,19 @@ def explained(report: GapReport) -> dict[str, float]:
 
 
 @pytest.fixture(scope="module")
-def strong() -> GapReport:
+def strong():
     return diagnosed(STRONG, 0.0)
 
 
-def test_that_a_strong_effect_is_named_and_found_as_large_as_it_is(strong) -> None:
+def test_that_a_strong_effect_is_named_and_found_as_large_as_it_is(strong):
     assert (strong.verdict, strong.cause) == ("effect", ("stress_relaxation",))
-    low, _, high = strong.selected_fit.posterior.quantile(torch.tensor([0.01, 0.5, 0.99]).double())
+    low, _, high = strong.selected_fit.posterior.quantile(tensor([0.01, 0.5, 0.99]))
     places = [strong.selected_fit.prior.names.index(name) for name in ("G", "mu", "tau")]
-    truth = torch.tensor([8e3, 0.08, 8e-6]).double()
+    truth = tensor([8e3, 0.08, 8e-6])
     assert bool(((low[places] < truth) & (truth < high[places])).all())
 
 
-def test_that_the_noise_is_that_of_the_frames_though_the_base_model_is_far_off(strong) -> None:
+def test_that_the_noise_is_that_of_the_frames_though_the_base_model_is_far_off(strong):
     curves = torch.cat([e.radius[0] for e in strong.batch.curves])
     times = torch.cat([e.times for e in strong.batch.curves])
     ratio = strong.batch.noise.sd(curves, times) / LAW.sd(curves, times)
@@ -75,11 +76,11 @@ def test_that_the_noise_is_that_of_the_frames_though_the_base_model_is_far_off(s
 
 
 @pytest.fixture(scope="module")
-def beside() -> GapReport:
+def beside():
     return diagnosed(STRONG, 0.012)
 
 
-def test_that_it_is_selected_and_not_named_beside_slow_deviations(beside) -> None:
+def test_that_it_is_selected_and_not_named_beside_slow_deviations(beside):
     assert (beside.verdict, beside.cause) == ("other", ())
     assert beside.selected.parts == ("stress_relaxation",)
     assert "stress_relaxation explains some of it" in beside.reason
@@ -87,7 +88,7 @@ def test_that_it_is_selected_and_not_named_beside_slow_deviations(beside) -> Non
     assert nats.pop("stress_relaxation") > EXPLAINS + max(nats.values())
 
 
-def test_that_it_predicts_curves_that_were_left_out_and_gives_the_gel_back(beside) -> None:
+def test_that_it_predicts_curves_that_were_left_out_and_gives_the_gel_back(beside):
     found = shrinkage(beside, SIMULATOR)
     assert found is not None
     assert found.share is not None
@@ -99,7 +100,7 @@ def test_that_it_predicts_curves_that_were_left_out_and_gives_the_gel_back(besid
         assert abs(shifts[name]["base"][1] / truth - 1.0) > 0.1
 
 
-def test_that_nothing_is_selected_by_slow_deviations_alone() -> None:
+def test_that_nothing_is_selected_by_slow_deviations_alone():
     alone = diagnosed({}, 0.012)
     assert (alone.verdict, alone.cause) == ("other", ())
     assert alone.selected.parts == ()

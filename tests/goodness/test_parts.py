@@ -12,6 +12,7 @@ from torch import Tensor
 
 from imr_torch import PolytropicSimulator, wide_prior
 from imr_torch.assimilate import ModelFit, SearchOptions, assimilate
+from imr_torch.float64 import linspace, tensor
 from imr_torch.goodness import PartsTest, compare_parts, follow_gel
 from imr_torch.goodness.parts import Part
 from imr_torch.material import PARAMETERS
@@ -20,14 +21,14 @@ from imr_torch.random import generator
 
 PARTS = ("first collapse", "first rebound", "later cycles")
 SIMULATOR = PolytropicSimulator()
-TIMES = torch.linspace(0.0, 2.6, 80, dtype=torch.float64)
+TIMES = linspace(0.0, 2.6, 80)
 DESIGN = (400.0, 0.22)
 GEL = {"G": 8e3, "mu": 0.08}
 NOISE = Noise(scale=0.003, slope=0.0, drift=0.0, floor=1.0)
 
 
 def simulate_curve(gel: dict[str, float]) -> Tensor:
-    design = torch.tensor(DESIGN, dtype=torch.float64)
+    design = tensor(DESIGN)
     return SIMULATOR(PARAMETERS.pack(gel), design, TIMES).radius.reshape(-1)
 
 
@@ -46,7 +47,7 @@ def fit_unchanged(seed: int) -> tuple[ModelFit, ExperimentBatch]:
     return fit_curve(simulate_curve(GEL), seed)
 
 
-def test_that_shifts_have_unit_variance_where_the_model_is_right() -> None:
+def test_that_shifts_have_unit_variance_where_the_model_is_right():
     tests = [compare_parts(*fit_unchanged(seed), SIMULATOR) for seed in range(25)]
     assert all({part.name for part in found.parts} == set(PARTS) for found in tests)
     for name in PARTS:
@@ -63,7 +64,7 @@ def test_that_shifts_have_unit_variance_where_the_model_is_right() -> None:
     assert sum(not found.agree for found in tests) <= 5
 
 
-def test_that_a_gel_that_softens_after_the_first_collapse_is_seen() -> None:
+def test_that_a_gel_that_softens_after_the_first_collapse_is_seen():
     stiff, soft = (simulate_curve({"G": G, "mu": 0.08}) for G in (8e3, 6e3))
     first = int(stiff[:40].argmin())
     other = int(soft[:40].argmin())
@@ -76,7 +77,7 @@ def test_that_a_gel_that_softens_after_the_first_collapse_is_seen() -> None:
     assert found.sentences()[0].startswith("Parts of the records disagree: without the first")
 
 
-def test_that_what_a_refit_gives_is_the_fit_of_the_other_frames() -> None:
+def test_that_what_a_refit_gives_is_the_fit_of_the_other_frames():
     clean = simulate_curve(GEL)
     fit, batch = fit_unchanged(3)
     later = next(p for p in compare_parts(fit, batch, SIMULATOR).parts if p.name == "later cycles")
@@ -87,13 +88,13 @@ def test_that_what_a_refit_gives_is_the_fit_of_the_other_frames() -> None:
         assert later.without[name] == pytest.approx(quantiles.tolist(), rel=2e-3)
 
 
-def test_that_frames_that_tell_are_counted() -> None:
+def test_that_frames_that_tell_are_counted():
     fit, batch = fit_unchanged(1)
     told = compare_parts(fit, batch, SIMULATOR).telling["shot 1"]
     assert all(1 <= count <= 80 for count, _ in told.values())
     # of four times the frames about four times as many tell, but for single ones at a collapse
-    dense = torch.linspace(0.0, 2.6, 317, dtype=torch.float64)
-    radius = SIMULATOR(PARAMETERS.pack(GEL), torch.tensor(DESIGN).double(), dense).radius
+    dense = linspace(0.0, 2.6, 317)
+    radius = SIMULATOR(PARAMETERS.pack(GEL), tensor(DESIGN), dense).radius
     more = ExperimentBatch((Experiment("shot 1", DESIGN, dense, radius.reshape(1, -1)),), NOISE)
     options = SearchOptions(raw_samples=16, starts=2)
     again = assimilate(wide_prior(["nhkv"]), more, SIMULATOR, seed=0, options=options)["nhkv"]
@@ -102,7 +103,7 @@ def test_that_frames_that_tell_are_counted() -> None:
         assert 1.5 < many[name][0] / told[name][0] < 8.0
 
 
-def test_that_a_record_of_one_part_is_not_compared() -> None:
+def test_that_a_record_of_one_part_is_not_compared():
     found = compare_parts(*fit_curve(simulate_curve(GEL), 2, last=0.7), SIMULATOR)
     assert found.agree
     assert not found.compared
@@ -111,7 +112,7 @@ def test_that_a_record_of_one_part_is_not_compared() -> None:
     ]
 
 
-def test_that_the_limit_counts_how_many_shifts_are_compared() -> None:
+def test_that_the_limit_counts_how_many_shifts_are_compared():
     whole = {"G": [7e3, 8e3, 9e3]}
     parts = tuple(Part(name, 9, whole, {"G": 2.2}) for name in PARTS)
     assert not PartsTest(whole, parts[:1], {}).agree
@@ -120,7 +121,7 @@ def test_that_the_limit_counts_how_many_shifts_are_compared() -> None:
     assert PartsTest(whole, parts, {}).limit == pytest.approx(2.43, abs=0.01)
 
 
-def test_that_a_gel_that_does_not_change_stays_within_the_intervals_of_its_stretches() -> None:
+def test_that_a_gel_that_does_not_change_stays_within_the_intervals_of_its_stretches():
     held = []
     for seed in range(12):
         stretches = follow_gel(*fit_unchanged(seed), SIMULATOR, windows=6)
@@ -136,7 +137,7 @@ def test_that_a_gel_that_does_not_change_stays_within_the_intervals_of_its_stret
     assert 0.84 < np.mean(held) <= 1.0  # 144 intervals of 90 %, wider by a prior that is right
 
 
-def test_that_a_gel_that_softens_is_seen_over_time() -> None:
+def test_that_a_gel_that_softens_is_seen_over_time():
     stiff, soft = (simulate_curve({"G": G, "mu": 0.08}) for G in (8e3, 3e3))
     first, other = int(stiff[:40].argmin()), int(soft[:40].argmin())
     clean = stiff.clone()

@@ -5,12 +5,13 @@ cancel no misfit elsewhere.
 import pytest
 import torch
 
+from imr_torch.float64 import linspace, ones, randn
 from imr_torch.goodness.phases import PHASES, noise_shares, phase_name, phase_numbers
 from imr_torch.random import generator
 
 
-def test_that_phase_numbers_are_those_of_the_names() -> None:
-    times = torch.linspace(0.0, 6.0, 301, dtype=torch.float64)[None]
+def test_that_phase_numbers_are_those_of_the_names():
+    times = linspace(0.0, 6.0, 301)[None]
     curve = 0.4 + 0.6 * torch.cos(2.9 * times).abs() * torch.exp(-0.5 * times)
     mask = torch.ones_like(times, dtype=torch.bool)
     numbers = phase_numbers(times, curve, mask)[0]
@@ -19,7 +20,7 @@ def test_that_phase_numbers_are_those_of_the_names() -> None:
     assert phase_name(0.0) == PHASES[int(numbers[0])]
 
 
-def test_that_the_law_counts_whole_where_it_is_right() -> None:
+def test_that_the_law_counts_whole_where_it_is_right():
     source = generator(0)
     phase = torch.arange(200) // 40
     lost = sum(
@@ -33,11 +34,11 @@ def test_that_the_law_counts_whole_where_it_is_right() -> None:
     assert lost <= 6  # 1500 phases at a chance of .001 each: 1.5 expected
 
 
-def test_that_a_phase_quieter_than_the_law_counts_as_it_is() -> None:
+def test_that_a_phase_quieter_than_the_law_counts_as_it_is():
     phase = torch.arange(200) // 40
-    scale = torch.ones(200).double()
+    scale = ones(200)
     scale[160:] = 0.2
-    square = (scale * torch.randn(200, generator=generator(1), dtype=torch.float64)).square()
+    square = (scale * randn(200, generator=generator(1))).square()
     shares = noise_shares([square, 2.0 * square], phase)  # the hypothesis that leaves least decides
     assert shares[:160].tolist() == [1.0] * 160
     assert shares[160:].tolist() == pytest.approx([0.04] * 40, rel=0.5)

@@ -9,10 +9,10 @@ import pytest
 import torch
 from scipy.stats import binomtest, chi2
 
+from imr_torch.float64 import eye, randn
 from imr_torch.goodness.linear import Linearisation, linearise_fit
 from imr_torch.goodness.score import (
     LEVEL,
-    Block,
     effect_directions,
     gap_test,
     generic_blocks,
@@ -25,7 +25,7 @@ from tests.gap.synthetic import SIMULATOR, fit, shoot
 
 
 @pytest.fixture(scope="module")
-def matched() -> tuple[Linearisation, dict[str, torch.Tensor], list[Block]]:
+def matched():
     """A matched fit, what each effect changes there, and all blocks."""
     batch = shoot({})
     best = fit(batch)
@@ -37,11 +37,11 @@ def matched() -> tuple[Linearisation, dict[str, torch.Tensor], list[Block]]:
 
 def drawn(line: Linearisation, seed: int, lean: torch.Tensor | float = 0.0) -> Linearisation:
     """The neighbourhood with another residual, drawn under the fitted model, and a lean beside it."""
-    noise = torch.randn(len(line.residual), generator=generator(seed), dtype=torch.float64)
+    noise = randn(len(line.residual), generator=generator(seed))
     return replace(line, residual=line.project_out(noise + lean))
 
 
-def test_that_it_is_silent_on_residuals_of_the_model_at_its_level(matched) -> None:
+def test_that_it_is_silent_on_residuals_of_the_model_at_its_level(matched):
     line, _, blocks = matched
     p_values = [
         gap_test(blocks, drawn(line, 1000 + seed), seed=seed).p_value for seed in range(100)
@@ -53,7 +53,7 @@ def test_that_it_is_silent_on_residuals_of_the_model_at_its_level(matched) -> No
 
 
 @pytest.mark.parametrize("name", ["gas_loss", "exposure_blur", "missed_maximum"])
-def test_that_an_effect_is_found_as_often_as_its_power_says(matched, name: str) -> None:
+def test_that_an_effect_is_found_as_often_as_its_power_says(matched, name):
     """Its own direction, three noise standard deviations long beside what was fitted, among all the other blocks."""
     line, rows, blocks = matched
     first = line.project_out(rows[name][:1])
@@ -69,20 +69,18 @@ def test_that_an_effect_is_found_as_often_as_its_power_says(matched, name: str) 
     assert everywhere.p_value < 1e-6
 
 
-def test_that_what_the_fit_explains_is_no_direction_and_rank_is_counted_once(matched) -> None:
+def test_that_what_the_fit_explains_is_no_direction_and_rank_is_counted_once(matched):
     line, rows, _ = matched
     explained = line.fitted.mT[:1]
     assert make_block("explained", explained, line).directions.shape[1] == 0
     twice = torch.cat((rows["gas_loss"][:1], 2.0 * rows["gas_loss"][:1], explained))
     found = make_block("twice", twice, line)
     assert found.directions.shape[1] == 1
-    torch.testing.assert_close(
-        found.directions.mT @ found.directions, torch.eye(1, dtype=torch.float64)
-    )
+    torch.testing.assert_close(found.directions.mT @ found.directions, eye(1))
     assert float((line.basis.mT @ found.directions).abs().max()) < 1e-9
 
 
-def test_that_a_chi_square_alone_is_the_smallest_test(matched) -> None:
+def test_that_a_chi_square_alone_is_the_smallest_test(matched):
     line, _, _ = matched
     freedom = line.residual.shape[0] - line.fitted.shape[1]
     residual = drawn(line, 3)
@@ -96,7 +94,7 @@ def test_that_a_chi_square_alone_is_the_smallest_test(matched) -> None:
     assert math.isnan(everything.power)
 
 
-def test_where_fits_of_an_effect_start(matched) -> None:
+def test_where_fits_of_an_effect_start(matched):
     """Beside the neutral value, then at the size that the residual asks for; an effect with a shape
     from all its starts.
     """
@@ -111,7 +109,7 @@ def test_where_fits_of_an_effect_start(matched) -> None:
     assert shaped[0][1:] in {start[1:] for start in LIBRARY["sound_field"].starts}
 
 
-def test_that_bias_is_what_is_left_beyond_noise() -> None:
+def test_that_bias_is_what_is_left_beyond_noise():
     batch = shoot({})
     line = linearise_fit(fit(batch), batch, SIMULATOR)
     quiet = gap_test([], line, seed=0)

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 import imr_torch.simulate  # noqa: F401 - which registers a term of its own
+from imr_torch.float64 import linspace, tensor
 from imr_torch.material import PARAMETERS, Material, Stress, StressTerm, gel_response
 
 VALUES = {
@@ -78,9 +79,7 @@ STATES = [(1.0, 0.0), (0.9, -0.7), (REST, -3.0), (0.11, 5.0), (0.06, -9.0), (1.3
 
 def tensors(values: dict[str, float]) -> dict[str, Tensor]:
     """All parameters, those not named neutral."""
-    return {
-        p.name: torch.tensor(values.get(p.name, p.neutral), dtype=torch.float64) for p in PARAMETERS
-    }
+    return {p.name: tensor(values.get(p.name, p.neutral)) for p in PARAMETERS}
 
 
 def values_of(model: Material) -> dict[str, float]:
@@ -108,7 +107,7 @@ def memory_start(model: Material, rest: Tensor, theta: dict[str, Tensor]) -> Ten
 
 def memory_of(terms: tuple[StressTerm, ...] | list[StressTerm], *shape: int) -> Tensor:
     """Memory states that are not at rest, different for each row."""
-    rows = torch.linspace(-0.03, 0.05, sum(term.states for term in terms), dtype=torch.float64)
+    rows = linspace(-0.03, 0.05, sum(term.states for term in terms))
     return rows.reshape(-1, *[1] * len(shape)).expand(-1, *shape)
 
 
@@ -128,6 +127,4 @@ def evaluate(
     radius, velocity = (torch.as_tensor(x, dtype=torch.float64) for x in (radius, velocity))
     if memory is None:
         memory = memory_of(model.terms, *radius.shape)
-    return stress_of(
-        model, radius, velocity, torch.tensor(REST, dtype=torch.float64), tensors(values), memory
-    )
+    return stress_of(model, radius, velocity, tensor(REST), tensors(values), memory)

@@ -7,6 +7,7 @@ import torch
 from scipy.integrate import quad
 from torch import Tensor
 
+from imr_torch.float64 import linspace, tensor
 from imr_torch.material import Stress, material
 from imr_torch.material.departures import DEPARTURES
 from tests.material.gels import (
@@ -25,7 +26,7 @@ RADII = pytest.mark.parametrize("radius", [0.06, 0.15, 0.229, 0.3, 0.9, 1.4])
 
 
 def scalars(*values: float) -> list[Tensor]:
-    return [torch.tensor(x, dtype=torch.float64) for x in values]
+    return [tensor(x) for x in values]
 
 
 def elastic(radius: float, velocity: float, rest: float = REST) -> Stress:
@@ -33,7 +34,7 @@ def elastic(radius: float, velocity: float, rest: float = REST) -> Stress:
 
 
 @RADII
-def test_that_a_graded_gel_is_the_quadrature_of_its_modulus(radius: float) -> None:
+def test_that_a_graded_gel_is_the_quadrature_of_its_modulus(radius):
     """``S = 2 int G(r0) (b^-4 - b^2)/r dr`` over the gel, with the hoop stretch ``b = r/r0``."""
 
     def integrand(s: float) -> float:
@@ -48,10 +49,10 @@ def test_that_a_graded_gel_is_the_quadrature_of_its_modulus(radius: float) -> No
     assert float(stress.value) == pytest.approx(expected, rel=1e-9, abs=1e-13)
 
 
-def test_that_a_graded_gel_passes_smoothly_through_its_rest() -> None:
+def test_that_a_graded_gel_passes_smoothly_through_its_rest():
     """Its weight is 0/0 there, which the closed form must not show."""
-    edge = torch.tensor([-1e-4, 0.0, 1e-4], dtype=torch.float64)
-    stretch = torch.exp(edge[:, None] + 1e-9 * torch.tensor([-1.0, 1.0], dtype=torch.float64))
+    edge = tensor([-1e-4, 0.0, 1e-4])
+    stretch = torch.exp(edge[:, None] + 1e-9 * tensor([-1.0, 1.0]))
     stress = stress_of_term(
         GRADED_MODULUS,
         stretch,
@@ -73,16 +74,16 @@ def test_that_a_graded_gel_passes_smoothly_through_its_rest() -> None:
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.4, 1.0])
-def test_that_damage_takes_its_share_of_the_elastic_stress(lost: float) -> None:
+def test_that_damage_takes_its_share_of_the_elastic_stress(lost):
     whole = elastic(0.6, -1.2)
-    held = torch.tensor([lost], dtype=torch.float64)
+    held = tensor([lost])
     part = stress_of_term(DAMAGE, *scalars(0.6, -1.2, REST), tensors(GEL | {"damage": 0.3}), held)
     assert float(part.value + whole.value) == pytest.approx(
         (1.0 - lost) * float(whole.value), rel=1e-13
     )
 
 
-def test_that_damage_grows_with_the_path_in_either_direction_and_ends_at_all() -> None:
+def test_that_damage_grows_with_the_path_in_either_direction_and_ends_at_all():
     """``D = 1 - exp(-k int |dR/R|)``: at a speed far above the rounding, ``D' = k (1 - D) |U|/R``."""
     theta = tensors(GEL | {"damage": 0.3})
     for velocity, held, expected in (
@@ -96,14 +97,12 @@ def test_that_damage_grows_with_the_path_in_either_direction_and_ends_at_all() -
             [DAMAGE],
             *scalars(0.6, velocity, REST),
             theta,
-            torch.tensor([held], dtype=torch.float64),
+            tensor([held]),
         )
         assert float(rate) == pytest.approx(expected, rel=1e-3, abs=1e-12)
 
 
-def test_that_damage_heals_at_its_rate_where_nothing_moves_and_settles_where_something_does() -> (
-    None
-):
+def test_that_damage_heals_at_its_rate_where_nothing_moves_and_settles_where_something_does():
     """``D' = -D/t_h`` at rest; at a constant strain rate ``D`` stands still at ``k e/(k e +
     1/t_h)``.
     """
@@ -113,18 +112,16 @@ def test_that_damage_heals_at_its_rate_where_nothing_moves_and_settles_where_som
             [DAMAGE],
             *scalars(0.6, velocity, REST),
             theta,
-            torch.tensor([held], dtype=torch.float64),
+            tensor([held]),
         )
         assert float(rate) == pytest.approx(expected, rel=1e-3, abs=1e-3)
     assert float(DAMAGE.relaxation_rate(theta)) == 2.0
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.4, 1.0])
-def test_that_viscous_damage_takes_its_share_of_the_newtonian_stress_and_grows_with_the_path(
-    lost: float,
-) -> None:
+def test_that_viscous_damage_takes_its_share_of_the_newtonian_stress_and_grows_with_the_path(lost):
     point = scalars(0.6, -50.0, REST)
-    held = torch.tensor([lost], dtype=torch.float64)
+    held = tensor([lost])
     whole = stress_of(material("newtonian"), *point, tensors({"mu": 0.05}))
     theta = tensors({"mu": 0.05, "viscous_damage": 0.3})
     part = stress_of_term(VISCOUS_DAMAGE, *point, theta, held)
@@ -138,17 +135,15 @@ def test_that_viscous_damage_takes_its_share_of_the_newtonian_stress_and_grows_w
 
 
 @pytest.mark.parametrize("relaxing", RELAXATION_TIMES)
-def test_that_viscous_damage_leaves_a_stress_that_relaxes_alone(relaxing: str) -> None:
+def test_that_viscous_damage_leaves_a_stress_that_relaxes_alone(relaxing):
     """The law of the branch has taken the Newtonian stress already."""
     theta = tensors({"mu": 0.05, "viscous_damage": 0.3, relaxing: 0.2})
-    stress = stress_of_term(
-        VISCOUS_DAMAGE, *scalars(0.6, -1.0, REST), theta, torch.tensor([0.5], dtype=torch.float64)
-    )
+    stress = stress_of_term(VISCOUS_DAMAGE, *scalars(0.6, -1.0, REST), theta, tensor([0.5]))
     assert float(stress.value) == float(stress.rate) == float(stress.acceleration) == 0.0
 
 
 @pytest.mark.parametrize("velocity", [-5.0, -0.5, 0.5, 5.0])
-def test_that_a_yield_stress_opposes_motion_over_the_sheared_gel(velocity: float) -> None:
+def test_that_a_yield_stress_opposes_motion_over_the_sheared_gel(velocity):
     """``2 int_R^r_y 2 tau_y/(2r) dr = 2 tau_y ln(r_y/R)`` with the shear rate at ``r_y`` a tenth, in units of ``|U|/R = .1``."""
     radius = 0.4
     stress = 0.02
@@ -161,8 +156,8 @@ def test_that_a_yield_stress_opposes_motion_over_the_sheared_gel(velocity: float
     assert value == pytest.approx(-math.copysign(2.0 * stress * extent, velocity), rel=0.02)
 
 
-def test_that_a_yield_stress_vanishes_smoothly_at_a_turning_point() -> None:
-    velocity = torch.linspace(-1e-3, 1e-3, 5, dtype=torch.float64)
+def test_that_a_yield_stress_vanishes_smoothly_at_a_turning_point():
+    velocity = linspace(-1e-3, 1e-3, 5)
     theta = tensors({"yield_stress": 0.02})
     values = stress_of_term(
         YIELD_STRESS,
@@ -177,9 +172,7 @@ def test_that_a_yield_stress_vanishes_smoothly_at_a_turning_point() -> None:
 
 
 @RADII
-def test_that_a_set_gel_is_the_gel_referred_to_the_radius_it_was_stretched_to(
-    radius: float,
-) -> None:
+def test_that_a_set_gel_is_the_gel_referred_to_the_radius_it_was_stretched_to(radius):
     share = 0.1
     change = stress_of_term(
         PERMANENT_SET, *scalars(radius, -0.8, REST), tensors(GEL | {"permanent_set": share})
@@ -192,7 +185,7 @@ def test_that_a_set_gel_is_the_gel_referred_to_the_radius_it_was_stretched_to(
         )
 
 
-def test_that_all_departures_leave_a_gel_without_modulus_alone() -> None:
+def test_that_all_departures_leave_a_gel_without_modulus_alone():
     for name in ("damage", "graded_modulus", "permanent_set"):
         assert (
             float(evaluate(material(f"nhkv+{name}"), 0.5, -1.0, GEL | {name: 0.2}).value)

@@ -20,16 +20,12 @@ from imr_torch.material.media import NAMED, OF_WATER, ROOM, named_medium
         ("surface_tension", 333.15, 66.24e-3, 2e-5),
     ],
 )
-def test_that_water_is_as_in_the_tables(
-    field: str, temperature: float, value: float, error: float
-) -> None:
+def test_that_water_is_as_in_the_tables(field, temperature, value, error):
     assert OF_WATER[field](temperature) == pytest.approx(value, abs=error)
 
 
 @pytest.mark.parametrize("name", NAMED)
-def test_that_a_named_medium_is_its_source_at_its_temperature_and_follows_water_elsewhere(
-    name: str,
-) -> None:
+def test_that_a_named_medium_is_its_source_at_its_temperature_and_follows_water_elsewhere(name):
     medium = named_medium(name)
     assert medium.source
     assert medium.at(medium.temperature) == pytest.approx(dict(medium.values))
@@ -39,6 +35,6 @@ def test_that_a_named_medium_is_its_source_at_its_temperature_and_follows_water_
     assert set(medium.sds) <= set(medium.values)
 
 
-def test_that_a_name_which_is_not_known_is_refused_with_those_that_are() -> None:
+def test_that_a_name_which_is_not_known_is_refused_with_those_that_are():
     with pytest.raises(InputDataError, match="Unknown medium 'gelatine'; known are water, pbs"):
         named_medium("gelatine")

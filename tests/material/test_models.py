@@ -2,13 +2,13 @@
 its entry in the registry.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
 import torch
 
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import tensor
 from imr_torch.material import (
     MATERIALS,
     PARAMETERS,
@@ -40,7 +40,7 @@ MODELS = pytest.mark.parametrize("model", MATERIALS.values(), ids=MATERIALS.keys
 ENTRIES = ("value", "rate", "acceleration")
 
 
-def test_that_every_parameter_of_a_term_has_a_test_value_that_is_not_neutral() -> None:
+def test_that_every_parameter_of_a_term_has_a_test_value_that_is_not_neutral():
     assert set(VALUES) == {name for term in TERMS for name in term.names}
     assert {name for model in MATERIALS.values() for name in model.names} <= set(VALUES)
     for name, value in VALUES.items():
@@ -48,39 +48,7 @@ def test_that_every_parameter_of_a_term_has_a_test_value_that_is_not_neutral() -
 
 
 @MODELS
-def test_that_rate_and_acceleration_make_the_time_derivative_of_the_stress(model: Material) -> None:
-    """Along ``R = .7 + .5 cos 3t``, against autograd through the stress integral; memory leaves its
-    state at its own rate.
-    """
-    theta = tensors(values_of(model))
-    rest = torch.tensor(REST, dtype=torch.float64)
-    t = torch.linspace(0.0, 2.0, 41, dtype=torch.float64, requires_grad=True)
-    radius = 0.7 + 0.5 * torch.cos(3.0 * t)
-    velocity = -1.5 * torch.sin(3.0 * t)
-    memory = memory_of(model.terms, 41)
-    rates = memory_rate(model.terms, radius, velocity, rest, theta, memory).detach()
-    stress = stress_of(model, radius, velocity, rest, theta, memory + rates * (t - t.detach()))
-    (slope,) = torch.autograd.grad(stress.value.sum(), t)
-    composed = stress.rate + stress.acceleration * (-4.5 * torch.cos(3.0 * t))
-    torch.testing.assert_close(composed.detach(), slope, rtol=1e-10, atol=1e-11)
-
-
-@MODELS
-def test_that_the_acceleration_factor_is_the_slope_of_the_stress_over_the_velocity(
-    model: Material,
-) -> None:
-    velocity = torch.tensor(-2.0, dtype=torch.float64, requires_grad=True)
-    stress = evaluate(model, 0.3, velocity, values_of(model))
-    slope = (
-        torch.autograd.grad(stress.value, velocity)[0]
-        if stress.value.requires_grad
-        else torch.zeros(())
-    )
-    assert float(stress.acceleration.detach()) == pytest.approx(float(slope), abs=1e-14)
-
-
-@MODELS
-def test_that_a_gel_at_rest_has_no_stress(model: Material) -> None:
+def test_that_a_gel_at_rest_has_no_stress(model):
     stress = evaluate(model, REST, 0.0, values_of(model), 0.0 * memory_of(model.terms))
     assert abs(float(stress.value)) < 1e-15
     assert float(stress.rate) == 0.0
@@ -90,15 +58,13 @@ def relaxed(model: Material, radius: float) -> torch.Tensor:
     """Memory of a gel that has long been held at a radius: its start at ``R = 1`` for the same
     stretch.
     """
-    held = torch.tensor([REST / radius], dtype=torch.float64)
+    held = tensor([REST / radius])
     return memory_start(model, held, tensors(values_of(model)))[:, 0]
 
 
 @MODELS
 @pytest.mark.parametrize("radius", [0.1, 0.2, 0.3, 0.9])
-def test_that_held_memory_neither_changes_nor_forgets_which_way_to_push(
-    model: Material, radius: float
-) -> None:
+def test_that_held_memory_neither_changes_nor_forgets_which_way_to_push(model, radius):
     memory = relaxed(model, radius)
     stress = evaluate(model, radius, 0.0, values_of(model), memory)
     assert abs(float(stress.rate)) < 1e-15
@@ -110,10 +76,10 @@ def test_that_held_memory_neither_changes_nor_forgets_which_way_to_push(
 
 @MODELS
 @pytest.mark.parametrize("velocity", [-2.0, 2.0])
-def test_that_viscous_stress_opposes_the_motion(model: Material, velocity: float) -> None:
+def test_that_viscous_stress_opposes_the_motion(model, velocity):
     """At once, or as the memory of a Maxwell branch builds up."""
     theta = tensors(values_of(model))
-    point = [torch.tensor(x, dtype=torch.float64) for x in (REST, velocity, REST)]
+    point = [tensor(x) for x in (REST, velocity, REST)]
     memory = 0.0 * memory_of(model.terms)
     value = float(stress_of(model, *point, theta, memory).value)
     growth = float(memory_rate(model.terms, *point, theta, memory).sum())
@@ -126,9 +92,7 @@ def test_that_viscous_stress_opposes_the_motion(model: Material, velocity: float
 
 @MODELS
 @pytest.mark.parametrize(("radius", "velocity"), STATES)
-def test_that_neutral_parameters_do_nothing_exactly(
-    model: Material, radius: float, velocity: float
-) -> None:
+def test_that_neutral_parameters_do_nothing_exactly(model, radius, velocity):
     """Whatever the memory holds, which in a mixed batch is another member's business."""
     stress = evaluate(model, radius, velocity, {})
     assert float(stress.value) == float(stress.rate) == float(stress.acceleration) == 0.0
@@ -136,11 +100,9 @@ def test_that_neutral_parameters_do_nothing_exactly(
 
 @MODELS
 @pytest.mark.parametrize(("radius", "velocity"), STATES)
-def test_that_a_model_inside_the_full_set_of_terms_is_the_model_alone(
-    model: Material, radius: float, velocity: float
-) -> None:
+def test_that_a_model_inside_the_full_set_of_terms_is_the_model_alone(model, radius, velocity):
     theta = tensors(values_of(model))
-    point = [torch.tensor(x, dtype=torch.float64) for x in (radius, velocity, REST)]
+    point = [tensor(x) for x in (radius, velocity, REST)]
     own = set(model.terms)
     rows = []
     start = 0
@@ -157,27 +119,9 @@ def test_that_a_model_inside_the_full_set_of_terms_is_the_model_alone(
     assert float(rates.abs().sum()) == float(rates[rows].abs().sum())
 
 
-def test_that_a_batch_of_mixed_models_equals_its_members_alone() -> None:
-    models = list(MATERIALS.values())
-    each = [tensors(values_of(m)) for m in models]
-    theta = {name: torch.stack([values[name] for values in each]) for name in PARAMETERS.names}
-    radius = torch.linspace(0.2, 1.0, len(models), dtype=torch.float64)
-    velocity = torch.linspace(-2.0, 2.0, len(models), dtype=torch.float64)
-    memory = torch.zeros(sum(t.states for t in TERMS), len(models), dtype=torch.float64)
-    mixed, _ = gel_response(TERMS, radius, velocity, torch.full_like(radius, REST), theta, memory)
-    for i, model in enumerate(models):
-        alone = evaluate(
-            model, radius[i], velocity[i], values_of(model), 0.0 * memory_of(model.terms)
-        )
-        for name in ENTRIES:
-            assert float(getattr(mixed, name)[i]) == pytest.approx(
-                float(getattr(alone, name)), rel=1e-13, abs=1e-15
-            )
-
-
 @pytest.mark.parametrize("term", TERMS, ids=lambda term: term.name)
-def test_that_a_term_is_switched_off_by_its_switch_alone(term) -> None:
-    point = [torch.tensor(x, dtype=torch.float64) for x in (0.4, -1.0, REST)]
+def test_that_a_term_is_switched_off_by_its_switch_alone(term):
+    point = [tensor(x) for x in (0.4, -1.0, REST)]
     states = (memory_of([term]),) if term.states else ()
     assert term.switch in term.names
     on = tensors(values_for(term))
@@ -193,8 +137,8 @@ def test_that_a_term_is_switched_off_by_its_switch_alone(term) -> None:
 
 
 @MODELS
-def test_that_names_are_those_that_stress_and_memory_depend_on(model: Material) -> None:
-    point = [torch.tensor(x, dtype=torch.float64) for x in (0.4, -1.0, REST)]
+def test_that_names_are_those_that_stress_and_memory_depend_on(model):
+    point = [tensor(x) for x in (0.4, -1.0, REST)]
 
     def response(values: dict[str, float]) -> list[float]:
         memory = memory_of(model.terms)
@@ -214,14 +158,14 @@ def test_that_names_are_those_that_stress_and_memory_depend_on(model: Material) 
 
 
 @MODELS
-def test_that_a_model_is_found_by_its_key_and_says_where_it_is_from(model: Material) -> None:
+def test_that_a_model_is_found_by_its_key_and_says_where_it_is_from(model):
     assert material(model.key) is model
     assert model.title
     assert "(19" in model.reference or "(20" in model.reference
     assert all(name in repr(model) for name in model.names)
 
 
-def test_that_a_model_extended_by_name_has_that_parameter_too() -> None:
+def test_that_a_model_extended_by_name_has_that_parameter_too():
     extended = material("nhkv+alpha")
     assert extended.key == "nhkv+alpha"
     assert extended.names == material("gen_qkv").names
@@ -232,14 +176,14 @@ def test_that_a_model_extended_by_name_has_that_parameter_too() -> None:
     ]
 
 
-def test_that_a_term_is_registered_once() -> None:
+def test_that_a_term_is_registered_once():
     before = list(TERMS)
     assert register_term(replace(TERMS[0])) == TERMS[0]
     assert before == TERMS
 
 
-def test_that_memory_left_out_is_named() -> None:
-    point = [torch.tensor(x, dtype=torch.float64) for x in (0.4, -1.0, REST)]
+def test_that_memory_left_out_is_named():
+    point = [tensor(x) for x in (0.4, -1.0, REST)]
     with pytest.raises(InputDataError, match=r"maxwell has memory; its states must be given"):
         stress_of(material("zener"), *point, tensors(VALUES))
 
@@ -273,6 +217,6 @@ def forgets_the_velocity(radius, rest_radius, G):
         ),
     ],
 )
-def test_that_bad_input_is_named(call: Callable[[], object], message: str) -> None:
+def test_that_bad_input_is_named(call, message):
     with pytest.raises(InputDataError, match=message):
         call()

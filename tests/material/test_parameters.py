@@ -1,36 +1,29 @@
 """The parameter vector: packing, bounds, units."""
 
-from collections.abc import Callable
-
 import pytest
 import torch
+from torch.testing import assert_close
 
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import full, tensor
 from imr_torch.material import PARAMETERS, Parameter, dimensionless
 from imr_torch.units import Surroundings
 
 
-def test_that_parameters_are_made_dimensionless_by_the_published_numbers() -> None:
+def test_that_parameters_are_made_dimensionless_by_the_published_numbers():
     s = Surroundings()
-    max_radius = torch.tensor([2e-4, 5e-4], dtype=torch.float64)
+    max_radius = tensor([2e-4, 5e-4])
     theta = dimensionless(
         PARAMETERS.pack({"G": 2770.0, "mu": 0.186, "alpha": 0.48, "tau": 3e-6}), max_radius, s
     )
     speed = (101325.0 / 1060.0) ** 0.5
-    torch.testing.assert_close(
-        theta["G"].expand(2), torch.full((2,), 2770.0 / 101325.0, dtype=torch.float64)
-    )
-    torch.testing.assert_close(theta["mu"], 0.186 * speed / (101325.0 * max_radius))
-    torch.testing.assert_close(theta["tau"], 3e-6 * speed / max_radius)
+    assert_close(theta["G"].expand(2), full((2,), 2770.0 / 101325.0))
+    assert_close(theta["mu"], 0.186 * speed / (101325.0 * max_radius))
+    assert_close(theta["tau"], 3e-6 * speed / max_radius)
     assert float(theta["alpha"]) == pytest.approx(0.48)
 
 
-def test_that_plain_numbers_are_packed_with_all_their_digits() -> None:
-    packed = PARAMETERS.pack({"G": 1234.5678, "mu": 0.186, "alpha": 0.48})
-    assert packed[PARAMETERS.index(["G", "mu", "alpha"])].tolist() == [1234.5678, 0.186, 0.48]
-
-
-def test_that_units_convert_there_and_back() -> None:
+def test_that_units_convert_there_and_back():
     s = Surroundings(far_field_pressure=9e4, density=998.0, surface_tension=0.072)
     assert s.weber(2e-4) == pytest.approx(9e4 * 2e-4 / 0.144)
     assert s.max_radius(s.weber(2e-4)) == pytest.approx(2e-4, rel=1e-15)
@@ -38,7 +31,7 @@ def test_that_units_convert_there_and_back() -> None:
 
 
 @pytest.mark.parametrize("name", list(PARAMETERS.names))
-def test_that_bounds_are_inclusive_and_what_lies_beyond_is_named(name: str) -> None:
+def test_that_bounds_are_inclusive_and_what_lies_beyond_is_named(name):
     entry = PARAMETERS[name]
     for bound, beyond in ((entry.lower, entry.lower - 1.0), (entry.upper, entry.upper + 1.0)):
         assert float(PARAMETERS.pack({name: bound})[PARAMETERS.index([name])[0]]) == bound
@@ -46,12 +39,12 @@ def test_that_bounds_are_inclusive_and_what_lies_beyond_is_named(name: str) -> N
             with pytest.raises(
                 InputDataError, match=rf"Parameter '{name}' is .*Parameters are given in SI units\."
             ):
-                PARAMETERS.pack({name: torch.tensor([bound, bad], dtype=torch.float64)})
+                PARAMETERS.pack({name: tensor([bound, bad])})
 
 
-def test_that_packed_values_broadcast_and_the_rest_is_neutral() -> None:
-    G = torch.tensor([[1e3], [2e3]], dtype=torch.float64)
-    mu = torch.tensor([0.1, 0.2, 0.3], dtype=torch.float64)
+def test_that_packed_values_broadcast_and_the_rest_is_neutral():
+    G = tensor([[1e3], [2e3]])
+    mu = tensor([0.1, 0.2, 0.3])
     packed = PARAMETERS.pack({"G": G, "mu": mu})
     assert packed.shape == (2, 3, len(PARAMETERS))
     assert packed.dtype == torch.float64
@@ -63,7 +56,7 @@ def test_that_packed_values_broadcast_and_the_rest_is_neutral() -> None:
     assert torch.equal(PARAMETERS.pack({}), PARAMETERS.neutral())
 
 
-def test_that_registering_the_same_parameter_twice_changes_nothing() -> None:
+def test_that_registering_the_same_parameter_twice_changes_nothing():
     before = PARAMETERS.names
     assert PARAMETERS.register(PARAMETERS["G"]) == PARAMETERS["G"]
     assert PARAMETERS.names == before
@@ -73,8 +66,6 @@ def test_that_registering_the_same_parameter_twice_changes_nothing() -> None:
     ("call", "message"),
     [
         (lambda: PARAMETERS["E"], r"Unknown parameter 'E'; known are G, mu, alpha"),
-        (lambda: PARAMETERS.pack({"E": 1.0}), r"Unknown parameter 'E'"),
-        (lambda: PARAMETERS.index(["G", "E"]), r"Unknown parameter 'E'"),
         (
             lambda: PARAMETERS.register(Parameter("G", "another", "Pa", "pressure", 0.0, 1.0, 0.0)),
             r"Parameter 'G' is registered already with another definition",
@@ -87,23 +78,9 @@ def test_that_registering_the_same_parameter_twice_changes_nothing() -> None:
             lambda: Surroundings(density=-1.0),
             r"Surroundings.density is -1.0; it must be a positive finite number",
         ),
-        (lambda: Surroundings(sound_speed=float("inf")), r"Surroundings.sound_speed is inf"),
         (lambda: Surroundings(temperature=float("nan")), r"Surroundings.temperature is nan"),
     ],
 )
-def test_that_bad_input_is_named(call: Callable[[], object], message: str) -> None:
+def test_that_bad_input_is_named(call, message):
     with pytest.raises(InputDataError, match=message):
         call()
-
-
-def test_that_the_vector_is_printed_by_its_names() -> None:
-    assert repr(PARAMETERS).startswith("ParameterVector of G, mu, alpha, ")
-    assert all(name in repr(PARAMETERS) for name in PARAMETERS.names)
-
-
-def test_that_scales_are_as_precise_as_the_parameters() -> None:
-    outer = Surroundings()
-    theta = dimensionless(
-        PARAMETERS.pack({"G": 4321.0}), torch.tensor(2e-4, dtype=torch.float64), outer
-    )
-    assert float(theta["G"]) == 4321.0 * (1.0 / outer.far_field_pressure)

@@ -7,6 +7,7 @@ import torch
 
 from imr_torch import PolytropicSimulator, characterize, wide_prior
 from imr_torch.assimilate import SearchOptions
+from imr_torch.float64 import linspace, tensor
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import RadiusTrace, TraceSet, find_landmarks, prepare
 from imr_torch.units import Surroundings
@@ -17,8 +18,8 @@ SIZE = 270e-6
 
 
 def record(frames: int, *, noise: float = 0.0, last: float = 3.0) -> TraceSet:
-    times = torch.linspace(0.0, last, frames, dtype=torch.float64)
-    design = torch.tensor([Surroundings().weber(SIZE), 0.2], dtype=torch.float64)
+    times = linspace(0.0, last, frames)
+    design = tensor([Surroundings().weber(SIZE), 0.2])
     radius = SIMULATOR(PARAMETERS.pack(GEL), design, times).radius
     radius = radius + noise * torch.randn(frames, generator=torch.Generator().manual_seed(1))
     time_s = times * Surroundings().time_scale(SIZE)
@@ -26,7 +27,7 @@ def record(frames: int, *, noise: float = 0.0, last: float = 3.0) -> TraceSet:
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.003])
-def test_that_a_dense_record_ends_in_a_right_answer(noise: float, few_deviations: None) -> None:
+def test_that_a_dense_record_ends_in_a_right_answer(noise, few_deviations):
     result = characterize(
         record(4341, noise=noise),
         prior=wide_prior(["nhkv"]),

@@ -11,6 +11,7 @@ from imr_torch import PolytropicSimulator, characterize, load_traces, wide_prior
 from imr_torch.assimilate import SearchOptions
 from imr_torch.campaign import Journal
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import arange, linspace, ones, randn, tensor
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, RadiusTrace, TraceSet, predict, prepare
 from imr_torch.reading.traces import Given
@@ -20,29 +21,23 @@ SIMULATOR = PolytropicSimulator()
 SIZE = 221e-6
 OUTER = Surroundings()
 SCALE = float(OUTER.time_scale(SIZE))
-TIMES = torch.linspace(0.05, 2.2, 44, dtype=torch.float64)
+TIMES = linspace(0.05, 2.2, 44)
 GEL = {"G": 8310.0, "mu": 0.093}
 
 
 def film(exposure: float) -> ExperimentBatch:
     return ExperimentBatch(
-        (
-            Experiment(
-                "a", (200.0, 0.2), TIMES, torch.ones(1, len(TIMES)).double(), exposure=exposure
-            ),
-        )
+        (Experiment("a", (200.0, 0.2), TIMES, ones(1, len(TIMES)), exposure=exposure),)
     )
 
 
 def blurred(exposure: float) -> torch.Tensor:
     """Mean radius over each exposure by a fine sum, apart from the code under test."""
-    offsets = (torch.arange(201, dtype=torch.float64) + 0.5) / 201 - 0.5
+    offsets = (arange(201) + 0.5) / 201 - 0.5
     every = (TIMES[:, None] + exposure * offsets).flatten()
     rising, order = every.sort()
     radius = torch.empty_like(every)
-    radius[order] = SIMULATOR(
-        PARAMETERS.pack(GEL), torch.tensor([200.0, 0.2]).double(), rising
-    ).radius
+    radius[order] = SIMULATOR(PARAMETERS.pack(GEL), tensor([200.0, 0.2]), rising).radius
     return radius.reshape(len(TIMES), -1).mean(1)
 
 
@@ -81,9 +76,7 @@ def traces(exposure_s: float | None, radius: torch.Tensor) -> TraceSet:
 def test_that_a_stated_exposure_brings_the_fit_to_the_truth():
     exposure = 0.045
     found = {}
-    noise = 0.001 * torch.randn(
-        len(TIMES), generator=torch.Generator().manual_seed(0), dtype=torch.float64
-    )
+    noise = 0.001 * randn(len(TIMES), generator=torch.Generator().manual_seed(0))
     radius = blurred(exposure) + noise
     for stated in (None, exposure * SCALE):
         result = characterize(

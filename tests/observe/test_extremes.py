@@ -6,13 +6,14 @@ import pytest
 import torch
 from torch import Tensor
 
+from imr_torch.float64 import linspace, randn, tensor
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import collapse_time
 from imr_torch.random import generator
 from imr_torch.simulate import PolytropicSimulator
 
 PERIOD = 1.7
-TIMES = torch.linspace(0.0, 6.0, 601, dtype=torch.float64)
+TIMES = linspace(0.0, 6.0, 601)
 
 
 def ringing(damping: float = 0.0) -> Tensor:
@@ -20,24 +21,19 @@ def ringing(damping: float = 0.0) -> Tensor:
 
 
 @pytest.mark.parametrize("number", [1, 2, 3])
-def test_that_collapses_of_a_cosine_are_half_periods(number: int) -> None:
+def test_that_collapses_of_a_cosine_are_half_periods(number):
     assert collapse_time(TIMES, ringing(), number) == pytest.approx(
         (number - 0.5) * PERIOD, abs=0.006
     )
 
 
-@pytest.mark.parametrize("factor", [1e-6, 1.0, 1e3])
-def test_that_the_unit_of_the_radius_does_not_matter(factor: float) -> None:
-    assert collapse_time(TIMES, factor * ringing(), 2) == collapse_time(TIMES, ringing(), 2)
-
-
-def test_that_a_collapse_that_was_not_recorded_is_at_infinity() -> None:
+def test_that_a_collapse_that_was_not_recorded_is_at_infinity():
     assert collapse_time(TIMES, ringing(), 5) == math.inf
     assert collapse_time(TIMES[:60], ringing()[:60], 1) == math.inf
     assert collapse_time(TIMES, torch.exp(-TIMES), 1) == math.inf
 
 
-def test_that_a_minimum_counts_only_once_the_curve_has_climbed_from_it() -> None:
+def test_that_a_minimum_counts_only_once_the_curve_has_climbed_from_it():
     """The record ends a tenth of its range above the minimum, or just before."""
     radius = ringing()
     climbed = int(torch.nonzero((TIMES > PERIOD / 2) & (radius > 0.1 + 0.08))[0])
@@ -48,8 +44,8 @@ def test_that_a_minimum_counts_only_once_the_curve_has_climbed_from_it() -> None
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_that_frame_noise_makes_no_collapse(seed: int) -> None:
-    noisy = ringing() + 0.01 * torch.randn(601, generator=generator(seed), dtype=torch.float64)
+def test_that_frame_noise_makes_no_collapse(seed):
+    noisy = ringing() + 0.01 * randn(601, generator=generator(seed))
     for number in (1, 2, 3):
         assert collapse_time(TIMES, noisy, number) == pytest.approx(
             (number - 0.5) * PERIOD, abs=0.15
@@ -57,13 +53,9 @@ def test_that_frame_noise_makes_no_collapse(seed: int) -> None:
     assert collapse_time(TIMES, noisy, 5) == math.inf
 
 
-def test_that_an_overdamped_bubble_has_no_second_collapse() -> None:
-    assert collapse_time(TIMES, ringing(damping=2.0), 2) == math.inf
-
-
-def test_that_collapses_of_a_simulated_bubble_are_where_its_wall_turns() -> None:
+def test_that_collapses_of_a_simulated_bubble_are_where_its_wall_turns():
     gel = PARAMETERS.pack({"G": 5e3, "mu": 0.05})
-    solution = PolytropicSimulator()(gel, torch.tensor([800.0, 0.2], dtype=torch.float64), TIMES)
+    solution = PolytropicSimulator()(gel, tensor([800.0, 0.2]), TIMES)
     turns = torch.nonzero((solution.velocity[:-1] < 0.0) & (solution.velocity[1:] >= 0.0))[:, 0]
     for number in (1, 2):
         found = collapse_time(TIMES, solution.radius, number)

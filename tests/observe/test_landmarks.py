@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from imr_torch.float64 import arange, linspace, randn, tensor
 from imr_torch.material import PARAMETERS
 from imr_torch.observe.landmarks import Landmarks, find_landmarks
 from imr_torch.reading.load import load_traces
@@ -41,7 +42,7 @@ def frames(n: int = 200, step: float = 5e-7, start: float = -6e-6) -> np.ndarray
 
 
 @pytest.mark.parametrize(("n", "noise"), [(5, 0.005), (9, 0.005), (21, 0.005), (60, 0.005)])
-def test_that_the_peak_of_a_noisy_parabola_is_covered_by_its_sd(n: int, noise: float) -> None:
+def test_that_the_peak_of_a_noisy_parabola_is_covered_by_its_sd(n, noise):
     rng = np.random.default_rng(n)
     z = []
     late = []
@@ -58,21 +59,8 @@ def test_that_the_peak_of_a_noisy_parabola_is_covered_by_its_sd(n: int, noise: f
     assert np.mean(np.abs(late) < 2) > 0.92
 
 
-def test_that_the_fit_beats_the_largest_frame() -> None:
-    rng = np.random.default_rng(1)
-    fitted = []
-    largest = []
-    for _ in range(200):
-        time = frames() + rng.uniform(0, 5e-7)
-        radius = ringing(time) + 0.005 * TOP * rng.standard_normal(len(time))
-        fitted.append(find_landmarks(trace(time, radius)).max_radius_m / TOP - 1)
-        largest.append(radius.max() / TOP - 1)
-    assert abs(np.mean(fitted)) < 0.001
-    assert np.sqrt(np.mean(np.square(fitted))) < 0.6 * np.sqrt(np.mean(np.square(largest)))
-
-
 @pytest.mark.parametrize("noise", [0.0005, 0.005])
-def test_that_collapses_and_rebounds_lie_between_the_frames(noise: float) -> None:
+def test_that_collapses_and_rebounds_lie_between_the_frames(noise):
     rng = np.random.default_rng(2)
     step = 5e-7
     errors = []
@@ -90,7 +78,7 @@ def test_that_collapses_and_rebounds_lie_between_the_frames(noise: float) -> Non
     assert np.sqrt(np.mean(np.square(errors))) < 0.25 * step
 
 
-def test_that_a_sharp_collapse_is_found_within_a_fifth_of_a_frame() -> None:
+def test_that_a_sharp_collapse_is_found_within_a_fifth_of_a_frame():
     step = 1e-6
     period = 2e-5
     errors = []
@@ -104,7 +92,7 @@ def test_that_a_sharp_collapse_is_found_within_a_fifth_of_a_frame() -> None:
     assert np.abs(errors).max() < 0.2 * step
 
 
-def test_that_noise_on_a_settled_tail_is_no_collapse() -> None:
+def test_that_noise_on_a_settled_tail_is_no_collapse():
     rng = np.random.default_rng(3)
     time = frames(400)
     counts = []
@@ -114,7 +102,7 @@ def test_that_noise_on_a_settled_tail_is_no_collapse() -> None:
     assert np.mean(np.array(counts) <= 2) > 0.95
 
 
-def test_that_a_settled_tail_gives_the_rest_radius_with_its_scatter() -> None:
+def test_that_a_settled_tail_gives_the_rest_radius_with_its_scatter():
     rng = np.random.default_rng(4)
     time = frames(400)
     found = find_landmarks(
@@ -126,7 +114,7 @@ def test_that_a_settled_tail_gives_the_rest_radius_with_its_scatter() -> None:
 
 
 @pytest.fixture(scope="module")
-def bubbles_that_still_ring() -> dict[str, np.ndarray]:
+def bubbles_that_still_ring():
     """For each method: columns ln(rest radius found / true) and the relative standard deviation
     stated.
     """
@@ -139,7 +127,7 @@ def bubbles_that_still_ring() -> dict[str, np.ndarray]:
         "mu": np.exp(rng.uniform(np.log(3e-3), np.log(0.2), count)),
     }
     parameters = PARAMETERS.pack({name: torch.tensor(value) for name, value in gels.items()})
-    times = torch.linspace(0.0, 7.0, 1401, dtype=torch.float64)
+    times = linspace(0.0, 7.0, 1401)
     solved = TransportSimulator()(parameters, torch.tensor(np.stack([we, rest], -1)), times)
     found: dict[str, list[tuple[float, float]]] = {}
     for radius, true in zip(
@@ -162,8 +150,8 @@ def bubbles_that_still_ring() -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize(("method", "bias"), [("last cycles", 0.06), ("first rebound", 0.25)])
 def test_that_the_rest_radius_of_a_bubble_that_still_rings_is_not_its_mean_radius(
-    bubbles_that_still_ring: dict[str, np.ndarray], method: str, bias: float
-) -> None:
+    bubbles_that_still_ring, method, bias
+):
     error, stated = bubbles_that_still_ring[method].T
     assert len(error) > 20
     assert abs(error.mean()) < bias  # that of the mean radius is .47 and .73
@@ -171,7 +159,7 @@ def test_that_the_rest_radius_of_a_bubble_that_still_rings_is_not_its_mean_radiu
     assert stated.min() >= (0.1 if method == "last cycles" else 0.3)
 
 
-def test_that_a_single_rebound_gives_a_wide_rest_radius() -> None:
+def test_that_a_single_rebound_gives_a_wide_rest_radius():
     time = frames(50)
     found = find_landmarks(trace(time, ringing(time)))
     assert (len(found.collapse_times_s), len(found.rebound_times_s)) == (1, 0)
@@ -181,7 +169,7 @@ def test_that_a_single_rebound_gives_a_wide_rest_radius() -> None:
     assert found.rest_radius_sd_m >= 0.3 * found.rest_radius_m  # type: ignore[operator]
 
 
-def test_that_a_record_without_rebound_has_no_rest_radius_unless_one_is_given() -> None:
+def test_that_a_record_without_rebound_has_no_rest_radius_unless_one_is_given():
     time = frames(35)
     found = find_landmarks(trace(time, ringing(time)))
     assert (found.rest_radius_m, found.rest_radius_sd_m, found.rest_method) == (
@@ -198,7 +186,7 @@ def test_that_a_record_without_rebound_has_no_rest_radius_unless_one_is_given() 
     )
 
 
-def test_that_a_record_without_growth_uses_the_given_maximum_else_the_first_frame_widely() -> None:
+def test_that_a_record_without_growth_uses_the_given_maximum_else_the_first_frame_widely():
     time = frames(start=3e-7)
     radius = ringing(time)
     found = find_landmarks(trace(time, radius, Given(max_radius_m=TOP, time_of_max_s=0.0)))
@@ -212,9 +200,7 @@ def test_that_a_record_without_growth_uses_the_given_maximum_else_the_first_fram
     assert found.max_radius_sd_m >= 0.01 * radius[0] * (1 - 1e-12)
 
 
-def test_that_a_record_that_begins_at_its_maximum_gives_it_by_the_frames_after_it_without_bias() -> (
-    None
-):
+def test_that_a_record_that_begins_at_its_maximum_gives_it_by_the_frames_after_it_without_bias():
     """The largest of noisy frames about a flat maximum is late; the fit is not, and its errors are
     as stated.
     """
@@ -226,40 +212,32 @@ def test_that_a_record_that_begins_at_its_maximum_gives_it_by_the_frames_after_i
     scale = Surroundings().time_scale(3e-4)
     for number in range(100):
         first = 0.3 * (number % 10) / 10.0 * 1e-6
-        seconds = first + 1e-6 * torch.arange(90, dtype=torch.float64)
-        design = torch.tensor(
-            [Surroundings().weber(3e-4), 0.15 + 0.01 * (number % 7)], dtype=torch.float64
-        )
+        seconds = first + 1e-6 * arange(90)
+        design = tensor([Surroundings().weber(3e-4), 0.15 + 0.01 * (number % 7)])
         clean = simulator(
             PARAMETERS.pack({"G": 3e3 + 200.0 * (number % 9), "mu": 0.06}), design, seconds / scale
         ).radius
-        seen = 3e-4 * (clean + 0.003 * torch.randn(90, generator=source, dtype=torch.float64))
+        seen = 3e-4 * (clean + 0.003 * randn(90, generator=source))
         found = find_landmarks(RadiusTrace("shot", seconds, seen, "test"))
         assert found.max_method == "one-sided fit"
         late.append(float(seconds[int(seen.argmax())]))
         times.append((found.time_of_max_s, found.time_of_max_sd_s))
         values.append((found.max_radius_m - 3e-4, found.max_radius_sd_m))
     for rows in (times, values):
-        error, sd = torch.tensor(rows, dtype=torch.float64).unbind(1)
+        error, sd = tensor(rows).unbind(1)
         assert abs(float((error / sd).mean())) < 0.6
         assert 0.5 < float((error / sd).square().mean().sqrt()) < 1.3
-    at = torch.tensor(times, dtype=torch.float64)[:, 0]
+    at = tensor(times)[:, 0]
     assert abs(float(at.mean())) < 0.4 * float(torch.tensor(late).mean())
 
 
-def test_that_the_given_maximum_is_not_used_where_frames_bracket_the_peak() -> None:
+def test_that_the_given_maximum_is_not_used_where_frames_bracket_the_peak():
     time = frames()
     found = find_landmarks(
         trace(time, ringing(time), Given(max_radius_m=1.1 * TOP, time_of_max_s=1e-6))
     )
     assert found.max_method == "peak fit"
     assert found.max_radius_m == pytest.approx(TOP, rel=2e-3)
-
-
-def test_that_a_neighbour_far_below_the_largest_frame_is_no_bracket() -> None:
-    time = np.array([-3.0, -1.5, 0.0, 2.5, 5.0]) * 1e-6
-    found = find_landmarks(trace(time, np.array([40.0, 80.0, 82.0, 55.0, 20.0]) * 1e-6))
-    assert (found.max_method, found.max_radius_m) == ("edge", pytest.approx(82e-6))
 
 
 def both(shared: Path, name: str) -> list[tuple[Landmarks, dict]]:
@@ -292,13 +270,13 @@ COARSE = ["gel03_histotripsy", "gel25_histotripsy", "gel25_laser"]
 
 
 @pytest.mark.parametrize("name", WELL_SAMPLED)
-def test_that_the_maximum_radius_agrees_with_the_published_one(shared: Path, name: str) -> None:
+def test_that_the_maximum_radius_agrees_with_the_published_one(shared, name):
     for found, said in both(shared, name):
         assert found.max_radius_m == pytest.approx(said["Rmax_m"], rel=0.01)
 
 
 @pytest.mark.parametrize("name", COARSE)
-def test_that_coarse_records_cover_the_published_maximum(shared: Path, name: str) -> None:
+def test_that_coarse_records_cover_the_published_maximum(shared, name):
     # With 2.5 us between 5 to 15 frames the published value is often the largest frame, a lower
     # bound.
     for found, said in both(shared, name):
@@ -307,9 +285,7 @@ def test_that_coarse_records_cover_the_published_maximum(shared: Path, name: str
 
 
 @pytest.mark.parametrize("name", WELL_SAMPLED + COARSE)
-def test_that_the_rest_radius_agrees_with_the_published_one_where_settled(
-    shared: Path, name: str
-) -> None:
+def test_that_the_rest_radius_agrees_with_the_published_one_where_settled(shared, name):
     for found, said in both(shared, name):
         if said["Rinf_m"] is None:
             assert found.rest_method in ("not in record", "first rebound")
@@ -320,9 +296,7 @@ def test_that_the_rest_radius_agrees_with_the_published_one_where_settled(
             assert found.rest_radius_m < 1.05 * said["Rinf_m"]
 
 
-def test_that_shots_of_one_gel_have_one_stretch_however_long_they_were_recorded(
-    shared: Path,
-) -> None:
+def test_that_shots_of_one_gel_have_one_stretch_however_long_they_were_recorded(shared):
     """Eleven shots of one size; the mean radii of their last cycles, over Rmax, scatter by .21, as
     the published ones do.
     """
@@ -336,17 +310,17 @@ def test_that_shots_of_one_gel_have_one_stretch_however_long_they_were_recorded(
 
 
 @pytest.mark.parametrize("name", ["agarose_0p5pct", "agarose_5pct"])
-def test_that_removed_growth_leaves_the_given_maximum(shared: Path, name: str) -> None:
+def test_that_removed_growth_leaves_the_given_maximum(shared, name):
     assert {found.max_method for found, _ in both(shared, name)} == {"as given"}
 
 
-def test_that_the_collapses_agree_with_those_marked_by_the_laboratory(shared: Path) -> None:
+def test_that_the_collapses_agree_with_those_marked_by_the_laboratory(shared):
     found, said = both(shared, "pa_soft_A_E2_002")[0]
     marked = 6.30000233e-7 * np.array(said["source_collapse_frame_indices_1based"])
     np.testing.assert_allclose(found.collapse_times_s[: len(marked)], marked, atol=1.0e-6)
 
 
-def test_that_noise_in_the_tail_makes_no_cycles_of_which_the_rest_radius_is_taken() -> None:
+def test_that_noise_in_the_tail_makes_no_cycles_of_which_the_rest_radius_is_taken():
     """Noise that grows with time, as the published law does: errors stay within what is stated."""
     rng = np.random.default_rng(11)
     errors = []
@@ -364,9 +338,7 @@ def test_that_noise_in_the_tail_makes_no_cycles_of_which_the_rest_radius_is_take
 @pytest.mark.parametrize(
     ("given", "method"), [({}, "as given"), ({"rest_settled": False}, "last cycles")]
 )
-def test_that_a_stated_rest_radius_counts_before_a_bubble_that_rings(
-    given: dict[str, bool], method: str
-) -> None:
+def test_that_a_stated_rest_radius_counts_before_a_bubble_that_rings(given, method):
     time = frames(150)
     found = find_landmarks(trace(time, ringing(time), Given(rest_radius_m=1.3 * REST, **given)))
     assert found.rest_method == method

@@ -12,6 +12,7 @@ from imr_torch import Characterization, PolytropicSimulator, characterize, load_
 from imr_torch.assimilate import SearchOptions
 from imr_torch.characterization import medium_of
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import linspace, randn, tensor
 from imr_torch.material import PARAMETERS
 from imr_torch.material.media import water_density, water_surface_tension
 from imr_torch.observe import RadiusTrace, Statement, TraceSet, gel_medium
@@ -22,7 +23,7 @@ def text(said: str) -> Statement:
     return Statement.from_text(said)
 
 
-def test_that_a_value_counts_before_a_name_and_a_name_before_what_is_assumed() -> None:
+def test_that_a_value_counts_before_a_name_and_a_name_before_what_is_assumed():
     medium = gel_medium(text("water,temperature=310:2,density=1125:11"))
     assert medium.surroundings.density == 1125.0
     assert medium.surroundings.surface_tension == water_surface_tension(310.0)
@@ -32,13 +33,13 @@ def test_that_a_value_counts_before_a_name_and_a_name_before_what_is_assumed() -
     assert "pressure 1.013e+05 Pa (assumed)" in medium.report()
 
 
-def test_that_a_stated_temperature_moves_a_named_medium_and_no_assumed_value() -> None:
+def test_that_a_stated_temperature_moves_a_named_medium_and_no_assumed_value():
     assert gel_medium(text("water,temperature=320")).surroundings.density == water_density(320.0)
     assert gel_medium(text("temperature=320")).surroundings.density == Surroundings().density
 
 
-def test_that_a_density_is_loose_where_curves_are_fitted_and_nobody_stated_or_chose_it() -> None:
-    time = torch.linspace(0.0, 60e-6, 61, dtype=torch.float64)
+def test_that_a_density_is_loose_where_curves_are_fitted_and_nobody_stated_or_chose_it():
+    time = linspace(0.0, 60e-6, 61)
     curves = TraceSet((RadiusTrace("a", time, 200e-6 * (0.6 + 0.4 * torch.cos(2e5 * time)), "a"),))
     assert medium_of(curves).sds == {"density": 30.0}
     assert "density (1060 +- 30 kg/m^3)" in medium_of(curves).unstated
@@ -53,7 +54,7 @@ def test_that_a_density_is_loose_where_curves_are_fitted_and_nobody_stated_or_ch
         assert not exact.unstated
 
 
-def test_that_standard_deviations_are_priors_of_the_logarithm_in_every_model() -> None:
+def test_that_standard_deviations_are_priors_of_the_logarithm_in_every_model():
     belief = gel_medium(text("density=1000:20,pressure=101325:500")).believed(
         wide_prior(["newtonian", "nhkv"])
     )
@@ -67,7 +68,7 @@ def test_that_standard_deviations_are_priors_of_the_logarithm_in_every_model() -
     )  # once
 
 
-def test_that_the_caller_counts_before_the_file_and_says_so() -> None:
+def test_that_the_caller_counts_before_the_file_and_says_so():
     beside = Statement.from_json({"name": "pbs", "density": [1100, 10]}, "gel.json")
     medium = gel_medium(text("density=1125"), [beside])
     assert medium.surroundings.density == 1125.0
@@ -79,7 +80,7 @@ def test_that_the_caller_counts_before_the_file_and_says_so() -> None:
     )
 
 
-def test_that_files_of_different_media_are_not_fitted_together_unless_the_caller_decides() -> None:
+def test_that_files_of_different_media_are_not_fitted_together_unless_the_caller_decides():
     files = [Statement.from_json({"density": value}, f"{value}.json") for value in (1000, 1100)]
     with pytest.raises(InputDataError, match=r"density: 1000 \(1000.json\) and 1100 \(1100.json\)"):
         gel_medium(None, files)
@@ -98,53 +99,22 @@ def test_that_files_of_different_media_are_not_fitted_together_unless_the_caller
             "temperature=37",
             "temperature is 37; expected 273.15 to 363.15 K. It looks like degrees Celsius: add 273.15",
         ),
-        ("surface_tension=72", "It looks like mN/m: divide by 1000"),
-        ("sound_speed=1.48", "It looks like km/s: multiply by 1000"),
-        ("pressure=101.3", "It looks like kPa: multiply by 1000"),
         ("pressure=1", "It looks like bar or atm: multiply by 1e5"),
-        ("density=-1000", "density is -1000; expected"),
-        ("density=nan", "density is nan; expected"),
         ("density=1125:0", "standard deviation of density is 0 kg/m.3; expected above 0"),
-        ("density=1125:-3", "standard deviation of density is -3"),
-        ("density=1125:nan", "standard deviation of density is nan"),
-        ("density=1125:900", "at most 30 % of the value"),
         ("density=1125+-11", "is not PROPERTY=VALUE"),
-        ("density=1:2:3", "is not PROPERTY=VALUE"),
-        ("water,pbs", "the name of a medium, if any, first"),
-        ("", "is not PROPERTY=VALUE"),
         (
             "viscosity=0.1",
             "unknown property 'viscosity' of a medium; known are density, sound_speed",
         ),
-        ("density=1000,density=1100", "density is stated twice"),
         ("temperature=360,pressure=20000", "so it boils"),
     ],
 )
-def test_that_what_cannot_be_is_refused_with_a_remedy(said: str, message: str) -> None:
+def test_that_what_cannot_be_is_refused_with_a_remedy(said, message):
     with pytest.raises(InputDataError, match=message):
         gel_medium(text(said))
 
 
-@pytest.mark.parametrize(
-    ("medium", "message"),
-    [
-        ({"density": "1125"}, "density is '1125'; write a number in SI units"),
-        ({"density": [1, 2, 3]}, "write a number in SI units, or .value, sd."),
-        ({"density": True}, "density is True"),
-        ({"name": 5}, "name is 5; write the name of a medium"),
-        ({"density": 1.1}, "It looks like g/cm"),
-    ],
-)
-def test_that_a_json_file_that_states_nonsense_is_refused_by_its_name(
-    tmp_path, medium, message: str
-) -> None:
-    (tmp_path / "gel.csv").write_text("time (us),R (um)\n0,200\n1,190\n2,170\n3,140\n4,100\n")
-    (tmp_path / "gel.json").write_text(json.dumps({"medium": medium}))
-    with pytest.raises(InputDataError, match=f"gel.json.*{message}"):
-        load_traces(tmp_path / "gel.csv")
-
-
-def test_that_the_json_beside_a_file_states_the_medium_and_text_stays_a_remark(tmp_path) -> None:
+def test_that_the_json_beside_a_file_states_the_medium_and_text_stays_a_remark(tmp_path):
     (tmp_path / "gel.csv").write_text("time (us),R (um)\n0,200\n1,190\n2,170\n3,140\n4,100\n")
     for medium, density in (
         ({"name": "water", "density": [1010, 5]}, 1010.0),
@@ -168,10 +138,10 @@ def shots(**gel: float) -> TraceSet:
     noise = torch.Generator().manual_seed(3)
     traces = []
     for name, size, rest in (("a", 250e-6, 0.2), ("b", 320e-6, 0.16)):
-        times = torch.linspace(0.0, 2.4, 49, dtype=torch.float64)
-        design = torch.tensor([float(TRUE.weber(size)), rest], dtype=torch.float64)
+        times = linspace(0.0, 2.4, 49)
+        design = tensor([float(TRUE.weber(size)), rest])
         radius = simulator(PARAMETERS.pack(gel), design, times).radius
-        radius = radius + 0.004 * torch.randn(len(times), generator=noise, dtype=torch.float64)
+        radius = radius + 0.004 * randn(len(times), generator=noise)
         traces.append(RadiusTrace(name, times * TRUE.time_scale(size), size * radius, "simulated"))
     return TraceSet(tuple(traces))
 
@@ -187,7 +157,7 @@ def fitted(curves: TraceSet, medium: str, model: str = "nhkv") -> Characterizati
     )
 
 
-def test_that_a_density_with_a_standard_deviation_is_inferred_and_widens_the_gel() -> None:
+def test_that_a_density_with_a_standard_deviation_is_inferred_and_widens_the_gel():
     curves = shots(G=6000.0, mu=0.06)
     known = fitted(curves, "density=1120")
     uncertain = fitted(curves, "density=1060:60")
@@ -218,7 +188,7 @@ def test_that_a_density_with_a_standard_deviation_is_inferred_and_widens_the_gel
     assert "\n  density " not in of_gel  # as a factor it is in the JSON alone
 
 
-def test_that_curves_which_contradict_a_statement_say_so_and_others_do_not() -> None:
+def test_that_curves_which_contradict_a_statement_say_so_and_others_do_not():
     """In a liquid: the modulus of a gel would take up nearly all of a wrong density."""
     curves = shots(mu=0.06)
     for stated, contradicted in (("density=1060:10", True), ("density=1120:10", False)):

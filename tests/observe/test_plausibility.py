@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +9,7 @@ import torch
 
 from imr_torch import example_gel
 from imr_torch.errors import ImrError, InputDataError
+from imr_torch.float64 import linspace, tensor
 from imr_torch.gap import load_set
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import (
@@ -33,8 +33,8 @@ EXAMPLE = example_gel()
 
 def curve(**gel: float) -> tuple[torch.Tensor, torch.Tensor]:
     """Times in s and radii in m of a bubble in a soft gel."""
-    times = torch.linspace(0.0, 3.0, 151, dtype=torch.float64)
-    design = torch.tensor([OUTER.weber(SIZE), REST[0]], dtype=torch.float64)
+    times = linspace(0.0, 3.0, 151)
+    design = tensor([OUTER.weber(SIZE), REST[0]])
     bubble = PolytropicSimulator()(PARAMETERS.pack({"G": 5e3, "mu": 0.1} | gel), design, times)
     return times * SCALE, bubble.radius * SIZE
 
@@ -66,12 +66,6 @@ REFUSED = {
         REST,
         r"the first collapse is at t\* = 0.00917",
     ),
-    "milliseconds as seconds": (
-        lambda t, r: (1e3 * t, r),
-        None,
-        REST,
-        r"the first collapse is at t\* = 9\d\d",
-    ),
     "microseconds as tenths": (
         lambda t, r: (0.1 * t, r),
         None,
@@ -83,12 +77,6 @@ REFUSED = {
         Given(max_radius_m=300.0),
         REST,
         r"stated maximum radius is 3e\+08 um",
-    ),
-    "stated twice too small": (
-        lambda t, r: (t, r),
-        Given(max_radius_m=SIZE / 2),
-        REST,
-        r"stated maximum radius is 150 um",
     ),
     "one frame far above the others": (
         spiked,
@@ -106,13 +94,13 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("kind", REFUSED)
-def test_that_a_curve_in_other_units_than_was_said_is_refused(kind: str) -> None:
+def test_that_a_curve_in_other_units_than_was_said_is_refused(kind):
     change, given, rest, message = REFUSED[kind]
     with pytest.raises(InputDataError, match=message):
         prepared(change, given, rest)
 
 
-def test_that_a_good_curve_passes_without_a_word_and_its_report_says_what_was_found() -> None:
+def test_that_a_good_curve_passes_without_a_word_and_its_report_says_what_was_found():
     good = prepared(lambda t, r: (t, r))
     assert good.cautions == ()
     assert 0.8 < good.first_collapses["shot"] < 1.0
@@ -129,7 +117,7 @@ def test_that_a_good_curve_passes_without_a_word_and_its_report_says_what_was_fo
     assert len(good.experiments[0].times) == total - before - after
 
 
-def test_that_diameters_are_named_since_a_stiff_gel_looks_alike() -> None:
+def test_that_diameters_are_named_since_a_stiff_gel_looks_alike():
     (caution,) = prepared(lambda t, r: (t, 2.0 * r)).cautions
     assert "the first collapse is at t* = 0.4" in caution
     assert "that of an empty cavity in water at 0.915, in stiff gels from 0.4 on" in caution
@@ -138,7 +126,7 @@ def test_that_diameters_are_named_since_a_stiff_gel_looks_alike() -> None:
     ).cautions
 
 
-def test_that_time_zero_is_the_maximum_and_rmax_its_radius() -> None:
+def test_that_time_zero_is_the_maximum_and_rmax_its_radius():
     times, radius = curve()
     late = times / SCALE + 0.9
     shifted = (
@@ -161,9 +149,7 @@ def test_that_time_zero_is_the_maximum_and_rmax_its_radius() -> None:
 @pytest.mark.parametrize(
     ("radius", "time", "message"), [(0.1, 1.0, "largest frame"), (1.0, 10.0, "first collapse")]
 )
-def test_that_a_set_in_other_units_is_refused(
-    radius: float, time: float, message: str, tmp_path: Path
-) -> None:
+def test_that_a_set_in_other_units_is_refused(radius, time, message, tmp_path):
     t, r = (x.numpy() for x in curve())
     design = {"we": np.array([OUTER.weber(SIZE)]), "rinf_star": np.array([REST[0]])}
     np.savez(tmp_path / "good.npz", time_s=t[None], radius_m=r[None, None], **design)
@@ -173,7 +159,7 @@ def test_that_a_set_in_other_units_is_refused(
         load_set(tmp_path / "bad.npz")
 
 
-def test_that_measured_curves_pass(shared: Path) -> None:
+def test_that_measured_curves_pass(shared):
     counts = {}
     for file in [EXAMPLE, *sorted((shared / "data").glob("*.csv"))]:
         if file.stem.startswith("pimr"):
@@ -198,7 +184,7 @@ def test_that_measured_curves_pass(shared: Path) -> None:
     }  # stiff gels
 
 
-def test_that_what_the_laboratory_says_of_a_tail_is_true_or_false(tmp_path: Path) -> None:
+def test_that_what_the_laboratory_says_of_a_tail_is_true_or_false(tmp_path):
     rows = "".join(f"a,{t},{r}\n" for t, r in zip(*(x.tolist() for x in curve()), strict=True))
     (tmp_path / "gel.csv").write_text("experiment_id,time_s,radius_m\n" + rows)
     entry = {"experiment_id": "a", "Rinf_m": 60e-6, "Rinf_settled": "false"}

@@ -24,14 +24,14 @@ def damped(name: str, damping: float, given: Given = Given()) -> RadiusTrace:  #
     return RadiusTrace(name, torch.tensor(time), torch.tensor(radius), "memory", given)
 
 
-def test_that_the_window_ends_at_a_second_collapse_that_is_small_and_plain() -> None:
+def test_that_the_window_ends_at_a_second_collapse_that_is_small_and_plain():
     """The second minimum is followed by a rise of .02 of Rmax, a thirtieth of the range of the curve."""
     prepared = prepare(TraceSet((damped("small", 2.0), damped("large", 0.4))))
     ends = [float(e.times[-1] / e.times[1]) * 8e-7 / PERIOD for e in prepared.experiments]
     assert all(1.4 < end < 1.56 for end in ends)
 
 
-def test_that_a_curve_with_most_of_the_frames_is_named() -> None:
+def test_that_a_curve_with_most_of_the_frames_is_named():
     short = [damped(f"short {k}", 0.4) for k in range(2)]
     open_window = damped("open", 8.0)  # no second collapse is seen
     assert any(
@@ -44,13 +44,13 @@ def test_that_a_curve_with_most_of_the_frames_is_named() -> None:
     )
 
 
-def test_that_a_stated_rest_radius_that_is_passed_over_is_said() -> None:
+def test_that_a_stated_rest_radius_that_is_passed_over_is_said():
     ringing = damped("ringing", 0.1, Given(rest_radius_m=1.8 * REST, rest_settled=False))
     (text,) = (c for c in prepare(TraceSet((ringing,))).cautions if "stated R_inf" in c)
     assert "'ringing' is not used, since it is stated that the bubble had not settled" in text
 
 
-def test_that_a_record_without_rest_radius_takes_that_of_the_other_curves_widely() -> None:
+def test_that_a_record_without_rest_radius_takes_that_of_the_other_curves_widely():
     short = damped("short", 0.4)
     cut = RadiusTrace(
         "short", short.time_s[:26], short.radius_m[:26], "memory"
@@ -67,9 +67,7 @@ def test_that_a_record_without_rest_radius_takes_that_of_the_other_curves_widely
         prepare(TraceSet((cut,)))
 
 
-def test_that_a_late_minimum_of_an_overdamped_bubble_is_no_collapse_and_that_of_wrong_units_is_refused() -> (
-    None
-):
+def test_that_a_late_minimum_of_an_overdamped_bubble_is_no_collapse_and_that_of_wrong_units_is_refused():
     """A bubble that creeps to rest, with one deep frame long after; and a plain one whose times are
     ten times too long.
     """

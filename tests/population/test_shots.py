@@ -5,7 +5,6 @@ model misses the curves.
 from dataclasses import replace
 
 import pytest
-import torch
 
 from imr_torch import PolytropicSimulator, wide_prior
 from imr_torch.assimilate import (
@@ -15,6 +14,7 @@ from imr_torch.assimilate import (
     assimilate,
     infer_frame_noise,
 )
+from imr_torch.float64 import tensor, zeros
 from imr_torch.material import PARAMETERS, Belief
 from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
 from imr_torch.population import fit_shots
@@ -22,10 +22,10 @@ from tests.drifting import PART, Slow, drifting
 from tests.linear import NOISE, exact
 
 OPTIONS = SearchOptions(raw_samples=8, starts=2)
-BELIEF = Belief((PART,), torch.zeros(1, dtype=torch.float64))
+BELIEF = Belief((PART,), zeros(1))
 
 
-def test_that_one_law_of_a_misfit_for_shots_of_different_gels_states_intervals_that_hold() -> None:
+def test_that_one_law_of_a_misfit_for_shots_of_different_gels_states_intervals_that_hold():
     inside: dict[str, list[bool]] = {"independent": [], "widened": []}
     few = FrameNoisePrior(NOISE, amounts=(1.0, 4.0, 16.0), durations=(0.3,), kinks=(0.15,))
     for seed in range(20):
@@ -50,17 +50,13 @@ def test_that_one_law_of_a_misfit_for_shots_of_different_gels_states_intervals_t
 
 
 @pytest.mark.parametrize("missed", [False, True])
-def test_that_the_noise_is_that_of_a_misfit_where_the_model_misses_the_shots(missed: bool) -> None:
+def test_that_the_noise_is_that_of_a_misfit_where_the_model_misses_the_shots(missed):
     simulator = PolytropicSimulator()
     shots = []
     for number, G in enumerate((6e3, 9e3)):
         truth = PARAMETERS.pack({"G": G, "mu": 0.09, "gas_loss": 2.0 if missed else 0.0})
         laboratory = SimulatedLaboratory(simulator, truth, repeats=1)
-        shots.append(
-            laboratory.shoot(
-                torch.tensor([400.0, 0.22]).double(), seed=number, label=f"shot {number}"
-            )
-        )
+        shots.append(laboratory.shoot(tensor([400.0, 0.22]), seed=number, label=f"shot {number}"))
     fits = fit_shots(
         wide_prior(["nhkv"])["nhkv"],
         shots,
@@ -70,15 +66,3 @@ def test_that_the_noise_is_that_of_a_misfit_where_the_model_misses_the_shots(mis
     )
     noise = fits[0].batch.noise
     assert (noise.widened > 1.5) == missed
-
-
-def test_that_the_steps_are_counted_over_all_rounds_and_draws() -> None:
-    simulator = PolytropicSimulator()
-    laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack({"G": 7e3, "mu": 0.09}), repeats=1)
-    design = torch.tensor([400.0, 0.22]).double()
-    shots = [laboratory.shoot(design, seed=i, label=f"shot {i}") for i in range(2)]
-    said: list[str] = []
-    prior = wide_prior(["nhkv"])["nhkv"]
-    fit_shots(prior, shots, simulator, rounds=1, samples=64, progress=said.append)
-    counted = [line.split(", ")[1] for line in said if line.startswith(("shots: ", "draws: "))]
-    assert counted == ["1/6", "2/6", "3/6", "4/6", "5/6", "6/6"]

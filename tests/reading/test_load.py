@@ -9,19 +9,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
-from scipy.integrate import solve_ivp
+from torch.testing import assert_close
 
 from imr_torch.cli import build_parser, main
 from imr_torch.cli.common import read_options, simulator_of
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import tensor
 from imr_torch.material import PARAMETERS
 from imr_torch.reading import load_driving
-from imr_torch.reading.layout import KNOWN_LAYOUTS, Layout
+from imr_torch.reading.layout import Layout
 from imr_torch.reading.load import load_traces
-from imr_torch.reading.traces import Given, RadiusTrace, TraceSet, row_ranges
-from imr_torch.simulate import Conditions, PolytropicGas, PolytropicSimulator, TabulatedDriving
-from imr_torch.units import Surroundings
+from imr_torch.reading.traces import Given, TraceSet
+from imr_torch.simulate import Conditions, PolytropicSimulator, TabulatedDriving
 from tests.simulate.bubble import sine
 
 HEADER = "experiment_id,time_s,radius_m\n"
@@ -36,18 +35,7 @@ def written(path: Path, text: str) -> Path:
     return path
 
 
-def test_that_the_separated_table_gives_its_59_curves_in_si_units(shared: Path) -> None:
-    traces = load_traces(shared / "data/original/laser3.csv")
-    assert len(traces) == 59
-    assert len(traces[0]) == 20
-    assert min(len(t) for t in traces) >= 13
-    assert max(len(t) for t in traces) <= 23
-    assert traces[0].time_s[0].item() == pytest.approx(-2.1406060606e-5, rel=1e-9)
-    assert traces[0].radius_m[0].item() == pytest.approx(62.00776745635937e-6, rel=1e-12)
-    assert traces.notes[0].endswith("read with the known layout 'separated_table'.")
-
-
-def test_that_every_line_of_the_separated_table_is_used_or_accounted_for(shared: Path) -> None:
+def test_that_every_line_of_the_separated_table_is_used_or_accounted_for(shared):
     path = shared / "data/original/laser3.csv"
     traces = load_traces(path)
     reasons = [x.reason for x in traces.left_out]
@@ -61,16 +49,16 @@ def test_that_every_line_of_the_separated_table_is_used_or_accounted_for(shared:
     assert sum(len(t) for t in traces) + 59 + 59 + 1 == len(path.read_text().splitlines())
 
 
-def test_that_the_separated_table_equals_its_published_si_version(shared: Path) -> None:
+def test_that_the_separated_table_equals_its_published_si_version(shared):
     ours = load_traces(shared / "data/original/laser3.csv")
     theirs = load_traces(shared / "data/gel03_laser.csv")
     assert len(ours) == len(theirs)
     for a, b in zip(ours, theirs, strict=True):
-        torch.testing.assert_close(a.time_s, b.time_s, rtol=0, atol=1e-14)
-        torch.testing.assert_close(a.radius_m, b.radius_m, rtol=1e-7, atol=0)
+        assert_close(a.time_s, b.time_s, rtol=0, atol=1e-14)
+        assert_close(a.radius_m, b.radius_m, rtol=1e-7, atol=0)
 
 
-def test_that_the_json_beside_a_table_gives_the_laboratorys_values(tmp_path: Path) -> None:
+def test_that_the_json_beside_a_table_gives_the_laboratorys_values(tmp_path):
     path = written(tmp_path / "set.csv", HEADER + table("a") + table("b"))
     entry = {
         "experiment_id": "b",
@@ -87,22 +75,18 @@ def test_that_the_json_beside_a_table_gives_the_laboratorys_values(tmp_path: Pat
     assert any("describes 1 experiment(s)" in note and note.endswith("c.") for note in traces.notes)
 
 
-def test_that_lost_frames_are_left_out_with_their_rows_and_reasons(tmp_path: Path) -> None:
+def test_that_lost_frames_are_left_out_with_their_rows_and_reasons(tmp_path):
     rows = ["0,0", "1,nan", "2,90", "3,0", "4,95", "5,94", "6,", "7,90", "8,80", "9,NaN"]
     path = written(tmp_path / "x.txt", "t,R\n" + "\n".join(rows))
     traces = load_traces(path, layout=Layout("R", radius_unit="um", time="t", time_unit="us"))
-    torch.testing.assert_close(
-        traces[0].time_s, 1e-6 * torch.tensor([2.0, 4, 5, 7, 8], dtype=torch.float64)
-    )
-    torch.testing.assert_close(
-        traces[0].radius_m, 1e-6 * torch.tensor([90.0, 95, 94, 90, 80], dtype=torch.float64)
-    )
+    assert_close(traces[0].time_s, 1e-6 * tensor([2.0, 4, 5, 7, 8]))
+    assert_close(traces[0].radius_m, 1e-6 * tensor([90.0, 95, 94, 90, 80]))
     found = [(x.rows, x.reason.partition("(")[2].rstrip(")")) for x in traces.left_out]
     assert found == [("2-3", "before nucleation"), ("5, 8", "lost frames"), ("11", "lost frames")]
     assert all(x.rows in traces.report() and x.reason in traces.report() for x in traces.left_out)
 
 
-def test_that_single_impossible_radii_are_lost_frames_and_many_are_refused(tmp_path: Path) -> None:
+def test_that_single_impossible_radii_are_lost_frames_and_many_are_refused(tmp_path):
     """As noise makes them at a collapse, where the true radius is next to nothing."""
     times = (1e-6 * np.arange(100)).tolist()
     radii = (1.5e-4 + 5e-5 * np.cos(0.1 * np.arange(100))).tolist()
@@ -122,7 +106,7 @@ def test_that_single_impossible_radii_are_lost_frames_and_many_are_refused(tmp_p
         load_traces(written(tmp_path / "bad.csv", "\n".join(",".join(row) for row in rows)))
 
 
-def test_that_a_short_curve_is_left_out_and_the_others_stay(tmp_path: Path) -> None:
+def test_that_a_short_curve_is_left_out_and_the_others_stay(tmp_path):
     traces = load_traces(
         written(tmp_path / "x.csv", HEADER + table("a") + table("short", 4) + table("b"))
     )
@@ -132,7 +116,7 @@ def test_that_a_short_curve_is_left_out_and_the_others_stay(tmp_path: Path) -> N
     assert traces.left_out[0].rows == "10-13"
 
 
-def test_that_equal_ids_in_two_files_are_told_apart_by_the_files(tmp_path: Path) -> None:
+def test_that_equal_ids_in_two_files_are_told_apart_by_the_files(tmp_path):
     one = written(tmp_path / "one.csv", HEADER + table("a") + table("b"))
     two = written(tmp_path / "two.csv", HEADER + table("a") + table("short", 2))
     traces = load_traces(one, two)
@@ -141,7 +125,7 @@ def test_that_equal_ids_in_two_files_are_told_apart_by_the_files(tmp_path: Path)
     assert (load_traces(one) + load_traces(two)).ids == traces.ids
 
 
-def test_that_equal_file_names_in_two_folders_are_told_apart_by_the_folders(tmp_path: Path) -> None:
+def test_that_equal_file_names_in_two_folders_are_told_apart_by_the_folders(tmp_path):
     paths = []
     for folder in ("day1", "day2"):
         (tmp_path / folder).mkdir()
@@ -149,13 +133,13 @@ def test_that_equal_file_names_in_two_folders_are_told_apart_by_the_folders(tmp_
     assert load_traces(*paths).ids == ("day1/run:a", "day2/run:a")
 
 
-def test_that_a_file_loaded_twice_is_refused(tmp_path: Path) -> None:
+def test_that_a_file_loaded_twice_is_refused(tmp_path):
     path = written(tmp_path / "one.csv", HEADER + table("a"))
     with pytest.raises(InputDataError, match=r"occurs 2 times .*load a file once"):
         load_traces(path, path)
 
 
-def test_that_a_trace_set_is_indexed_selected_and_added(tmp_path: Path) -> None:
+def test_that_a_trace_set_is_indexed_selected_and_added(tmp_path):
     traces = load_traces(written(tmp_path / "x.csv", HEADER + table("a") + table("b") + table("c")))
     assert traces.select(["c", "a"]).ids == ("c", "a")
     assert traces["b"] is traces[1]
@@ -165,19 +149,11 @@ def test_that_a_trace_set_is_indexed_selected_and_added(tmp_path: Path) -> None:
         traces["z"]
 
 
-@pytest.mark.parametrize("mark", [";", "\t", "  "])
-def test_that_columns_may_be_divided_in_other_ways(tmp_path: Path, mark: str) -> None:
-    text = "".join(f"{i}{mark}{100 - i}\n" for i in range(8))
-    layout = Layout.from_text("radius=2,radius_unit=um,time=1,time_unit=us")
-    traces = load_traces(written(tmp_path / "x.dat", text), layout=layout)
-    assert traces[0].radius_m[3].item() == pytest.approx(97e-6)
-
-
-def test_that_content_and_not_the_suffix_decides(tmp_path: Path) -> None:
+def test_that_content_and_not_the_suffix_decides(tmp_path):
     assert load_traces(written(tmp_path / "x.mat", HEADER + table("a"))).ids == ("a",)
 
 
-def test_that_frame_numbers_become_seconds(tmp_path: Path) -> None:
+def test_that_frame_numbers_become_seconds(tmp_path):
     path = written(
         tmp_path / "x.csv", "R\n" + "\n".join(["0", "0", *(str(100 - i) for i in range(6))])
     )
@@ -188,7 +164,7 @@ def test_that_frame_numbers_become_seconds(tmp_path: Path) -> None:
     assert traces[0].radius_m[0].item() == pytest.approx(2e-4)
 
 
-def test_that_a_layout_is_read_from_text() -> None:
+def test_that_a_layout_is_read_from_text():
     text = "radius=Rnew,radius_unit=px,pixel_size=deltax,frame_interval=5e-7,max_radius_entries=1+3,separator=-1"
     layout = Layout.from_text(text)
     assert layout == Layout(
@@ -202,23 +178,7 @@ def test_that_a_layout_is_read_from_text() -> None:
     assert layout.names() == ("Rnew", "deltax")
 
 
-def test_that_known_layouts_cannot_be_changed() -> None:
-    with pytest.raises(TypeError):
-        KNOWN_LAYOUTS["experiment_table"] = Layout("x", radius_unit="m", time="t")  # type: ignore[index]
-
-
-def test_that_row_numbers_are_joined_to_ranges() -> None:
-    assert row_ranges([3, 1, 2, 7, 9, 10]) == "1-3, 7, 9-10"
-
-
-def test_that_a_trace_is_float64_whatever_comes_in() -> None:
-    trace = RadiusTrace(
-        "a", torch.arange(3, dtype=torch.float32) * 1e-6, torch.full((3,), 1e-4), "memory"
-    )
-    assert trace.time_s.dtype == trace.radius_m.dtype == torch.float64
-
-
-def test_that_all_reference_sets_load_with_what_the_laboratory_says(shared: Path) -> None:
+def test_that_all_reference_sets_load_with_what_the_laboratory_says(shared):
     every = sorted((shared / "data").glob("*.csv"))
     files = [path for path in every if "pimr" not in path.name]  # collapse times, no curves
     traces = load_traces(*files)
@@ -237,7 +197,7 @@ def test_that_all_reference_sets_load_with_what_the_laboratory_says(shared: Path
         "delay,p\nns,bar\n-1000,0\n0,-0.5\n500,nan\n2000,0.2\n",
     ],
 )
-def test_that_a_pressure_is_read_in_its_units(tmp_path: Path, text: str) -> None:
+def test_that_a_pressure_is_read_in_its_units(tmp_path, text):
     driving = load_driving(written(tmp_path / "p.csv", text))
     assert driving.times == pytest.approx((-1e-6, 0.0, 2e-6))
     assert driving.pressures == pytest.approx((0.0, -5e4, 2e4))
@@ -247,104 +207,38 @@ def test_that_a_pressure_is_read_in_its_units(tmp_path: Path, text: str) -> None
     ("text", "message"),
     [
         ("t,p\n0,1\n1,2\n2,3\n", r"expected one column of time with its unit, such as 'time"),
-        (
-            "t (us),p\n0,1\n1,2\n2,3\n",
-            r"expected one column of pressure .* found none\. .*t \(us\), p",
-        ),
         ("t (us),a (Pa),b (Pa)\n0,1,1\n1,2,1\n", r"found a \(Pa\), b \(Pa\)"),
         ("t (us),p (Pa)\n0,1\n0,2\n2,3\n", r"p\.csv: TabulatedDriving\.times must increase"),
-        ("t (us),p (Pa)\n0,1\n1,2\n", r"p\.csv: TabulatedDriving has 2 times"),
     ],
 )
-def test_that_what_is_no_pressure_is_refused(tmp_path: Path, text: str, message: str) -> None:
+def test_that_what_is_no_pressure_is_refused(tmp_path, text, message):
     with pytest.raises(InputDataError, match=message):
         load_driving(written(tmp_path / "p.csv", text))
 
 
-def test_that_a_sampled_sound_field_moves_a_bubble_as_its_formula_does(tmp_path: Path) -> None:
+def test_that_a_sampled_sound_field_moves_a_bubble_as_its_formula_does(tmp_path):
     field = sine(amplitude=2e4, frequency=30e3)
     times = [1e-7 * i for i in range(-20, 2000)]
     rows = [f"{1e6 * t:.9g},{20.0 * math.sin(2.0 * math.pi * 30e3 * t):.9g}" for t in times]
     path = written(tmp_path / "p.csv", "\n".join(["t (us),p (kPa)", *rows]))
     command = ["simulate", "--physics", "polytropic", "--set", "G=8310,mu=0.093", "--until", "2"]
-    command += ["--driving", str(path), "--json", str(tmp_path / "bubble.json")]
+    command += f"--driving {path} --json {tmp_path}/bubble.json".split()
     assert main(command) == 0
     found = json.loads((tmp_path / "bubble.json").read_text())
-    grid = torch.tensor(found["t_star"], dtype=torch.float64)
-    design = torch.tensor([300.0, 0.2], dtype=torch.float64)
+    grid = tensor(found["t_star"])
+    design = tensor([300.0, 0.2])
     gel = PARAMETERS.pack({"G": 8310.0, "mu": 0.093})
     driven, alone = (
         PolytropicSimulator(Conditions(driving=driving))(gel, design, grid).radius
         for driving in (field, None)
     )
-    radius = torch.tensor(found["R_star"], dtype=torch.float64)
+    radius = tensor(found["R_star"])
     assert float((driven - alone).abs().max()) > 0.02
-    torch.testing.assert_close(radius, driven, rtol=0, atol=1e-3)
-
-
-def driven_radius(times: np.ndarray, amplitude: float, middle: float, width: float) -> np.ndarray:
-    """R/Rmax of a neo-Hookean Kelvin-Voigt bubble under a Gaussian pulse of pressure, Keller-Miksis
-    in SI by SciPy; nothing of the package but the constants of water is used.
-
-    Args:
-        times: s, from the maximum radius on.
-        amplitude: Pa.
-        middle: s.
-        width: standard deviation of the pulse, s.
-    """
-    s = Surroundings()
-    p_inf, rho, c, tension = s.far_field_pressure, s.density, s.sound_speed, s.surface_tension
-    modulus, viscosity, kappa = 8310.0, 0.093, PolytropicGas().exponent
-    r_max = 300.0 * 2.0 * tension / p_inf
-    r_rest = 0.2 * r_max
-    vapour = 1.17e11 * math.exp(-5200.0 / s.temperature)
-    p_top = (p_inf + 2.0 * tension / r_rest - vapour) * 0.2**3
-
-    def rate(t: float, y: np.ndarray) -> list[float]:
-        r, u = y
-        push = amplitude * math.exp(-0.5 * ((t - middle) / width) ** 2)
-        push_rate = -push * (t - middle) / width**2
-        gas = p_top * (r_max / r) ** (3.0 * kappa)
-        inverse = r_rest / r
-        elastic = -0.5 * modulus * (5.0 - 4.0 * inverse - inverse**4)
-        wall = gas + vapour - 2.0 * tension / r + elastic - 4.0 * viscosity * u / r
-        force = wall - p_inf - push
-        # the rate of the force without the term of the wall's acceleration
-        known = (
-            (-3.0 * kappa * gas + 2.0 * tension / r) * u / r
-            - 2.0 * modulus * (inverse + inverse**4) * u / r
-            + 4.0 * viscosity * u**2 / r**2
-            - push_rate
-        )
-        right = ((1.0 + u / c) * force + r / c * known) / rho - 1.5 * (1.0 - u / (3.0 * c)) * u**2
-        return [u, right / ((1.0 - u / c) * r + 4.0 * viscosity / (rho * c))]
-
-    span = (0.0, float(times[-1]))
-    run = solve_ivp(rate, span, [r_max, 0.0], method="DOP853", t_eval=times, rtol=1e-10, atol=1e-16)
-    assert run.success
-    return run.y[0] / r_max
-
-
-def test_that_a_bubble_driven_by_a_file_is_scipys(tmp_path: Path) -> None:
-    pulse = {"amplitude": 4e4, "middle": 2e-5, "width": 6e-6}
-    seconds = 1e-7 * np.arange(-50, 1500)
-    kilopascal = 40.0 * np.exp(-0.5 * ((seconds - 2e-5) / 6e-6) ** 2)
-    rows = [f"{1e6 * t:.9g},{p:.12g}" for t, p in zip(seconds, kilopascal, strict=True)]
-    path = written(tmp_path / "p.csv", "\n".join(["time (us),p (kPa)", *rows]))
-    command = ["simulate", "--physics", "polytropic", "--accuracy", "reference"]
-    command += ["--set", "G=8310,mu=0.093", "--until", "2", "--rinf", "0.2", "--we", "300"]
-    command += ["--driving", str(path), "--json", str(tmp_path / "bubble.json")]
-    assert main(command) == 0
-    found = json.loads((tmp_path / "bubble.json").read_text())
-    times = np.array(found["time_s"])
-    expected = driven_radius(times, **pulse)
-    alone = driven_radius(times, **pulse | {"amplitude": 0.0})
-    assert np.abs(expected - alone).max() > 0.05
-    assert np.abs(np.array(found["R_star"]) - expected).max() < 1e-5
+    assert_close(radius, driven, rtol=0, atol=1e-3)
 
 
 @pytest.mark.parametrize("command", ["characterize", "diagnose"])
-def test_that_curves_are_fitted_with_it(tmp_path: Path, command: str) -> None:
+def test_that_curves_are_fitted_with_it(tmp_path, command):
     path = written(tmp_path / "p.csv", "t (us),p (kPa)\n0,0\n5,-50\n20,0\n")
     args = build_parser().parse_args([command, "gel.csv", "--driving", str(path)])
     read_options(args)

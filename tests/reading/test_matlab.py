@@ -3,7 +3,6 @@
 import math
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 import scipy.io
@@ -38,7 +37,7 @@ def dimensionless_file(
     return path
 
 
-def test_that_dimensionless_cells_of_v73_become_si(shared: Path) -> None:
+def test_that_dimensionless_cells_of_v73_become_si(shared):
     traces = load_traces(shared / "data/original/gelatin10_Rt_nondim_exp_v73.mat")
     published = load_traces(shared / "data/gelatin_10pct.csv")
     assert [len(t) for t in traces] == [249] * 4
@@ -57,17 +56,7 @@ def test_that_dimensionless_cells_of_v73_become_si(shared: Path) -> None:
     assert len(reasons) == 8
 
 
-@pytest.mark.parametrize("how", [{"frame_interval": 5e-7}, {"max_radius_entries": (1, 2, 3, 4)}])
-def test_that_both_remedies_give_the_same_gelatin_curves(shared: Path, how: dict) -> None:
-    path = shared / "data/original/gelatin10_Rt_nondim_exp_v73.mat"
-    settings = {name: getattr(DIMENSIONLESS, name) for name in DIMENSIONLESS.__dataclass_fields__}
-    traces = load_traces(path, layout=Layout(**{**settings, **how}))
-    assert [t.given.max_radius_m for t in traces] == [
-        t.given.max_radius_m for t in load_traces(path)
-    ]
-
-
-def test_that_a_fitted_peak_in_the_first_row_is_no_frame(shared: Path) -> None:
+def test_that_a_fitted_peak_in_the_first_row_is_no_frame(shared):
     traces = load_traces(shared / "data/original/Ag5.0_2E6_Ag_RofTdata_005.mat")
     assert len(traces) == 1
     assert len(traces[0]) == 170
@@ -78,7 +67,7 @@ def test_that_a_fitted_peak_in_the_first_row_is_no_frame(shared: Path) -> None:
     assert [(x.rows, x.reason.split()[0]) for x in traces.left_out] == [("1", "fitted")]
 
 
-def test_that_pixels_and_frames_become_si(shared: Path) -> None:
+def test_that_pixels_and_frames_become_si(shared):
     traces = load_traces(shared / "data/original/PAstiff_xy002_RofT.mat")
     assert len(traces[0]) == 98
     assert traces[0].time_s[0].item() == pytest.approx(3 * 3.7037037037037037e-6)
@@ -86,7 +75,7 @@ def test_that_pixels_and_frames_become_si(shared: Path) -> None:
     assert [x.rows for x in traces.left_out] == ["1-3"]
 
 
-def test_that_micrometres_and_the_rest_radius_become_metres(shared: Path) -> None:
+def test_that_micrometres_and_the_rest_radius_become_metres(shared):
     traces = load_traces(shared / "data/original/A_E2_002.mat")
     assert len(traces[0]) == 252
     assert traces[0].time_s[0].item() == pytest.approx(3.15000117e-6, rel=1e-8)
@@ -96,9 +85,7 @@ def test_that_micrometres_and_the_rest_radius_become_metres(shared: Path) -> Non
 
 
 @pytest.mark.parametrize("chosen", [(0, 1, 2), (0, 2, 3), (1, 2, 3)])
-def test_that_the_entries_with_equal_frame_spacing_are_found(
-    tmp_path: Path, chosen: tuple[int, ...]
-) -> None:
+def test_that_the_entries_with_equal_frame_spacing_are_found(tmp_path, chosen):
     tops = [1.5e-4, 1.83e-4, 1.61e-4, 2.1e-4]
     path = dimensionless_file(tmp_path / "x.mat", tops, [tops[i] for i in chosen])
     traces = load_traces(path)
@@ -106,7 +93,7 @@ def test_that_the_entries_with_equal_frame_spacing_are_found(
     assert traces[0].time_s.diff()[0].item() == pytest.approx(5e-7)
 
 
-def test_that_an_ambiguous_choice_is_an_error_with_both_remedies(tmp_path: Path) -> None:
+def test_that_an_ambiguous_choice_is_an_error_with_both_remedies(tmp_path):
     path = dimensionless_file(tmp_path / "x.mat", [1.5e-4, 1.5e-4, 1.8e-4], [1.5e-4, 1.8e-4])
     match = (
         r"x\.mat: variable 'RmaxList' has 3 entries for 2 curves, and 2 choices fit a frame spacing, equal for all "
@@ -117,7 +104,7 @@ def test_that_an_ambiguous_choice_is_an_error_with_both_remedies(tmp_path: Path)
         load_traces(path)
 
 
-def test_that_entries_that_no_frame_interval_explains_are_an_error(tmp_path: Path) -> None:
+def test_that_entries_that_no_frame_interval_explains_are_an_error(tmp_path):
     path = dimensionless_file(tmp_path / "x.mat", [1.5e-4, 1.83e-4, 1.8e-4], [1.5e-4, 1.8e-4])
     layout = Layout.from_text(
         "radius=R_nondim_All,radius_unit=dimensionless,time=t_nondim_All,time_unit=dimensionless,max_radius=RmaxList,"
@@ -129,15 +116,7 @@ def test_that_entries_that_no_frame_interval_explains_are_an_error(tmp_path: Pat
         load_traces(path, layout=layout)
 
 
-def test_that_too_few_entries_are_an_error(tmp_path: Path) -> None:
-    path = dimensionless_file(tmp_path / "x.mat", [1.5e-4, 1.8e-4], [1.5e-4, 1.8e-4, 1.6e-4])
-    with pytest.raises(
-        InputDataError, match="'RmaxList' has 2 entries for 3 curves; one entry for each curve"
-    ):
-        load_traces(path)
-
-
-def test_that_named_entries_override_and_are_counted_from_one(tmp_path: Path) -> None:
+def test_that_named_entries_override_and_are_counted_from_one(tmp_path):
     path = dimensionless_file(tmp_path / "x.mat", [9e-4, 1.5e-4], [1.5e-4])
     settings = {name: getattr(DIMENSIONLESS, name) for name in DIMENSIONLESS.__dataclass_fields__}
     traces = load_traces(path, layout=Layout(**{**settings, "max_radius_entries": (2,)}))
@@ -148,7 +127,7 @@ def test_that_named_entries_override_and_are_counted_from_one(tmp_path: Path) ->
         load_traces(path, layout=Layout(**{**settings, "max_radius_entries": (3,)}))
 
 
-def test_that_fields_of_a_struct_are_variables(tmp_path: Path) -> None:
+def test_that_fields_of_a_struct_are_variables(tmp_path):
     scipy.io.savemat(
         tmp_path / "s.mat", {"bubble": {"R": np.arange(60.0, 70.0), "t": np.arange(10.0)}}
     )
@@ -156,7 +135,7 @@ def test_that_fields_of_a_struct_are_variables(tmp_path: Path) -> None:
     assert len(load_traces(tmp_path / "s.mat", layout=layout)[0]) == 10
 
 
-def test_that_a_first_row_which_is_no_peak_is_an_error(tmp_path: Path) -> None:
+def test_that_a_first_row_which_is_no_peak_is_an_error(tmp_path):
     radius = np.linspace(1e-4, 2e-4, 10)
     scipy.io.savemat(
         tmp_path / "p.mat", {"Rnew": radius, "t": np.arange(10) * 1e-6, "RmaxAll": 2e-4}
@@ -168,7 +147,7 @@ def test_that_a_first_row_which_is_no_peak_is_an_error(tmp_path: Path) -> None:
         load_traces(tmp_path / "p.mat")
 
 
-def test_that_times_at_odds_with_the_frame_interval_are_an_error(tmp_path: Path) -> None:
+def test_that_times_at_odds_with_the_frame_interval_are_an_error(tmp_path):
     scipy.io.savemat(tmp_path / "f.mat", {"R": np.arange(60.0, 70.0), "t": np.arange(10.0)})
     layout = Layout("R", radius_unit="um", time="t", time_unit="us", frame_interval=5e-7)
     with pytest.raises(
@@ -200,14 +179,7 @@ UM = Layout("R", radius_unit="um", time="t", time_unit="us")
             UM,
             r"variable 'R', named by the layout, is not in the file\. It holds: r \(10,\), t \(10,\)",
         ),
-        ({"R": "text", "t": T}, UM, r"variable 'R' holds 'text', not real numbers"),
         ({"R": R + 1j, "t": T}, UM, r"variable 'R' holds .*, not real numbers"),
-        (
-            {"R": np.ones((9, 2)), "t": T},
-            UM,
-            r"variable 'R' has shape \(9, 2\); expected a vector, or a cell array",
-        ),
-        ({"R": R, "t": T[:-1]}, UM, r"curve 1: 't' has 9 samples and 'R' 10"),
         ({"R": cells([R, R, R]), "t": cells([T, T])}, UM, r"'t' holds 2 vectors and 'R' 3"),
         (
             {"R": R, "t": T, "dx": np.array([1.0, 2.0])},
@@ -221,24 +193,15 @@ UM = Layout("R", radius_unit="um", time="t", time_unit="us")
         ),
     ],
 )
-def test_that_unusable_variables_are_named(
-    tmp_path: Path, variables: dict, layout: Layout | None, message: str
-) -> None:
+def test_that_unusable_variables_are_named(tmp_path, variables, layout, message):
     scipy.io.savemat(tmp_path / "bad.mat", variables)
     with pytest.raises(InputDataError, match=r"bad\.mat: .*" + message):
         load_traces(tmp_path / "bad.mat", layout=layout)
 
 
-def test_that_a_damaged_file_says_how_to_save_it_again(tmp_path: Path) -> None:
+def test_that_a_damaged_file_says_how_to_save_it_again(tmp_path):
     (tmp_path / "d.mat").write_bytes(b"MATLAB 5.0 MAT-file" + bytes(range(256)))
     with pytest.raises(
         InputDataError, match=r"d\.mat: cannot be read as a MATLAB file .*save\(name, '-v7'\)"
     ):
         load_traces(tmp_path / "d.mat")
-
-
-def test_that_a_file_without_variables_is_an_error(tmp_path: Path) -> None:
-    with h5py.File(tmp_path / "e.mat", "w"):
-        pass
-    with pytest.raises(InputDataError, match=r"e\.mat: (holds no variables|cannot be read)"):
-        load_traces(tmp_path / "e.mat")

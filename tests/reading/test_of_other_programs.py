@@ -4,7 +4,6 @@ The layouts are those of the programs; every value is made here.
 """
 
 import json
-from pathlib import Path
 
 import matio
 import numpy as np
@@ -12,12 +11,11 @@ import pandas as pd
 import pytest
 import scipy.io
 import torch
+from torch.testing import assert_close
 
 from imr_torch.errors import InputDataError, UnsupportedError
 from imr_torch.observe import TraceSet, load_collapse_times, load_traces
 from imr_torch.reading import matlab
-from imr_torch.reading.content import Content
-from imr_torch.reading.names import Said, infer_layout
 
 COUNT = 40
 TIMES = 1e-6 * np.arange(COUNT)  # s
@@ -32,10 +30,8 @@ def check(
     for trace in traces:
         times = torch.as_tensor(TIMES[first:])
         shift = trace.time_s[0] - times[0]
-        torch.testing.assert_close(trace.time_s - shift, times, rtol=1e-6, atol=1e-11)
-        torch.testing.assert_close(
-            trace.radius_m, torch.as_tensor(RADII[first:]), rtol=digits, atol=0
-        )
+        assert_close(trace.time_s - shift, times, rtol=1e-6, atol=1e-11)
+        assert_close(trace.radius_m, torch.as_tensor(RADII[first:]), rtol=digits, atol=0)
         for name, value in given.items():
             assert getattr(trace.given, name) == pytest.approx(value, rel=1e-9)
 
@@ -61,14 +57,14 @@ def tracker_rows(*, scale: float | None = 3.2, rate: float | None = 1e6) -> list
     return rows
 
 
-def test_that_a_table_of_bubbletrack_has_its_radii_in_micrometres(tmp_path: Path) -> None:
+def test_that_a_table_of_bubbletrack_has_its_radii_in_micrometres(tmp_path):
     (tmp_path / "gel.csv").write_text("\n".join(",".join(row) for row in tracker_rows()))
     traces = load_traces(tmp_path / "gel.csv")
     check(traces, digits=1e-5)
     assert "radius from 'Radius_um' in um, time from 'Time_s' in s" in traces.notes[0]
 
 
-def test_that_a_workbook_of_bubbletrack_is_read_alike(tmp_path: Path) -> None:
+def test_that_a_workbook_of_bubbletrack_is_read_alike(tmp_path):
     openpyxl = pytest.importorskip("openpyxl")
     book = openpyxl.Workbook()
     for row in tracker_rows():
@@ -77,9 +73,7 @@ def test_that_a_workbook_of_bubbletrack_is_read_alike(tmp_path: Path) -> None:
     check(load_traces(tmp_path / "gel.xlsx"), digits=1e-5)
 
 
-def test_that_pixels_and_frames_of_bubbletrack_take_their_scales_from_the_json_beside(
-    tmp_path: Path,
-) -> None:
+def test_that_pixels_and_frames_of_bubbletrack_take_their_scales_from_the_json_beside(tmp_path):
     rows = tracker_rows(scale=None, rate=None)
     (tmp_path / "table.csv").write_text("\n".join(",".join(row) for row in rows))
     pixels = np.concatenate([[-1.0, -1.0], 1e6 * RADII / 3.2, [-1.0]])
@@ -103,9 +97,7 @@ def test_that_pixels_and_frames_of_bubbletrack_take_their_scales_from_the_json_b
 
 
 @pytest.mark.parametrize("with_peak", [True, False])
-def test_that_a_curve_of_bubbletrack_has_marks_for_frames_without_a_bubble(
-    tmp_path: Path, with_peak: bool
-) -> None:
+def test_that_a_curve_of_bubbletrack_has_marks_for_frames_without_a_bubble(tmp_path, with_peak):
     """Radii in um, -1 pixel where there was no bubble, and a fitted peak between the frames."""
     radius = np.concatenate([np.full(3, -3.2), 1e6 * RADII])
     times = 1e-6 * np.arange(-3.0, COUNT)
@@ -121,7 +113,7 @@ def test_that_a_curve_of_bubbletrack_has_marks_for_frames_without_a_bubble(
     traces = load_traces(tmp_path / "gel.mat")
     (trace,) = traces
     kept = np.delete(RADII, 22)
-    torch.testing.assert_close(trace.radius_m, torch.as_tensor(kept), rtol=1e-9, atol=0)
+    assert_close(trace.radius_m, torch.as_tensor(kept), rtol=1e-9, atol=0)
     reasons = {x.rows: x.reason for x in traces.left_out}
     assert "before nucleation" in reasons["1-3"]
     assert sum("lost frames" in reason for reason in reasons.values()) == 1
@@ -130,7 +122,7 @@ def test_that_a_curve_of_bubbletrack_has_marks_for_frames_without_a_bubble(
         assert trace.given.time_of_max_s == 0.0
 
 
-def test_that_single_marks_before_the_first_bubble_are_no_bubble_yet(tmp_path: Path) -> None:
+def test_that_single_marks_before_the_first_bubble_are_no_bubble_yet(tmp_path):
     rows = [f"{i},{-5 if i < 4 else 1e6 * RADII[i]}" for i in range(COUNT)]
     (tmp_path / "gel.csv").write_text("\n".join(["t (us),R (um)", *rows]))
     traces = load_traces(tmp_path / "gel.csv")
@@ -146,18 +138,11 @@ def test_that_single_marks_before_the_first_bubble_are_no_bubble_yet(tmp_path: P
     ("radius", "time"), [("R", "t"), ("R2", "t2"), ("R_exp", "t_exp"), ("Rnew", "t")]
 )
 @pytest.mark.parametrize("scale", [1.0, 1e6])
-def test_that_imr_codes_save_metres_or_micrometres_and_seconds(
-    tmp_path: Path, radius: str, time: str, scale: float
-) -> None:
+def test_that_imr_codes_save_metres_or_micrometres_and_seconds(tmp_path, radius, time, scale):
     content = {radius: scale * RADII, time: TIMES, "P_inf": 101325.0, "Req": scale * 4e-5}
     scipy.io.savemat(tmp_path / "gel.mat", content)
     traces = load_traces(tmp_path / "gel.mat")
     check(traces, rest_radius_m=4e-5)
-
-
-def test_that_vectors_of_matlab_4_are_read(tmp_path: Path) -> None:
-    scipy.io.savemat(tmp_path / "gel.mat", {"R": 1e6 * RADII, "t": TIMES}, format="4")
-    check(load_traces(tmp_path / "gel.mat"))
 
 
 @pytest.mark.parametrize(
@@ -167,15 +152,13 @@ def test_that_vectors_of_matlab_4_are_read(tmp_path: Path) -> None:
         ({"R_exp": 1e6 * RADII, "t_exp": 1e6 * TIMES}, {"radius_unit": "um", "time_unit": "us"}),
     ],
 )
-def test_that_what_an_import_wizard_asks_for_may_stand_beside_the_file(
-    tmp_path: Path, content: dict, said: dict
-) -> None:
+def test_that_what_an_import_wizard_asks_for_may_stand_beside_the_file(tmp_path, content, said):
     scipy.io.savemat(tmp_path / "gel.mat", content)
     (tmp_path / "gel.json").write_text(json.dumps(said | {"frame_rate_fps": 1e6}))
     check(load_traces(tmp_path / "gel.mat"))
 
 
-def test_that_names_of_imr_codes_do_not_stand_for_other_units(tmp_path: Path) -> None:
+def test_that_names_of_imr_codes_do_not_stand_for_other_units(tmp_path):
     for name, content in {
         "times in us": {"R": 1e6 * RADII, "t": 1e6 * TIMES},
         "R over Rmax": {"R2": RADII / RADII.max(), "t2": TIMES},
@@ -186,7 +169,7 @@ def test_that_names_of_imr_codes_do_not_stand_for_other_units(tmp_path: Path) ->
             print(name, load_traces(tmp_path / "gel.mat"))
 
 
-def test_that_a_result_with_its_experiment_gives_the_experiment(tmp_path: Path) -> None:
+def test_that_a_result_with_its_experiment_gives_the_experiment(tmp_path):
     """BDT and its relatives save the curve beside the simulation and the parameters of the fit."""
     fit = np.zeros((1, 3), dtype=[("name", object), ("value", object)])
     fit["name"] = [["G", "mu", "alpha"]]
@@ -207,41 +190,22 @@ def test_that_a_result_with_its_experiment_gives_the_experiment(tmp_path: Path) 
     check(load_traces(tmp_path / "nested.mat"))
 
 
-def test_that_an_experiment_of_a_struct_may_have_no_rest_radius(tmp_path: Path) -> None:
-    expts = np.zeros((1, 3), dtype=[(name, object) for name in ("t", "Roft", "R0", "Req")])
+def test_that_structs_of_experiments_are_curves(tmp_path):
+    """fitIMR and IMR_PRIME: ``expts(i)`` with time, R(t), R_max and R_eq in SI units."""
+    dtype = [(name, object) for name in ("t", "Roft", "R0", "Req")]
+    expts = np.zeros((1, 3), dtype=dtype)
     for i, rest in enumerate((4e-5, np.nan, 5e-5)):
         expts[0, i] = (TIMES[None], RADII[None], RADII.max(), rest)
     scipy.io.savemat(tmp_path / "gel.mat", {"expts": expts})
     traces = load_traces(tmp_path / "gel.mat")
+    check(traces, count=3, max_radius_m=RADII.max())
     assert [trace.given.rest_radius_m for trace in traces] == [4e-5, None, 5e-5]
-
-
-def test_that_structs_of_experiments_are_curves(tmp_path: Path) -> None:
-    """fitIMR and IMR_PRIME: ``expts(i)`` with time, R(t), R_max and R_eq in SI units."""
-    dtype = [(name, object) for name in ("t", "Roft", "R0", "Req")]
-    expts = np.zeros((1, 3), dtype=dtype)
-    for i in range(3):
-        expts[0, i] = (TIMES[None], RADII[None], RADII.max(), 4e-5)
-    scipy.io.savemat(tmp_path / "gel.mat", {"expts": expts})
-    traces = load_traces(tmp_path / "gel.mat")
-    check(traces, count=3, max_radius_m=RADII.max(), rest_radius_m=4e-5)
     assert traces.ids == ("gel_01", "gel_02", "gel_03")
     scipy.io.savemat(tmp_path / "one.mat", {"expts": expts[:, :1]})
     check(load_traces(tmp_path / "one.mat"), max_radius_m=RADII.max())
 
 
-def test_that_dimensionless_cells_of_imr_prime_become_si(tmp_path: Path) -> None:
-    scale = RADII.max() * (998.0 / 101325.0) ** 0.5
-    content = {
-        "R_nondim_All": as_cells([RADII / RADII.max()] * 2),
-        "t_nondim_All": as_cells([TIMES / scale + 1e-3] * 2),
-        "RmaxList": np.full(2, RADII.max()),
-    }
-    scipy.io.savemat(tmp_path / "gel.mat", content)
-    check(load_traces(tmp_path / "gel.mat"), count=2, max_radius_m=RADII.max())
-
-
-def test_that_an_empty_cell_of_imr_prime_is_left_out_and_said(tmp_path: Path) -> None:
+def test_that_an_empty_cell_of_imr_prime_is_left_out_and_said(tmp_path):
     """Its scripts leave the cells of discarded experiments empty, with a maximum radius of 0."""
     scale = RADII.max() * (998.0 / 101325.0) ** 0.5
     empty = np.empty((0, 0))
@@ -261,12 +225,10 @@ def test_that_an_empty_cell_of_imr_prime_is_left_out_and_said(tmp_path: Path) ->
     ("cells", "message"),
     [
         (0, r"no usable curve \(it holds no curve\)"),
-        (2, r"no usable curve \(row\(s\) -: an empty cell; row\(s\) -: an empty cell\)"),
         (4, r"'RmaxList' has 2 entries for 4 curves; one entry for each curve"),
-        (1, r"'RmaxList' has 2 entries for 1 curves, and no choice fits .* curve 1: nan, nan"),
     ],
 )
-def test_that_empty_cells_alone_hold_no_curve(tmp_path: Path, cells: int, message: str) -> None:
+def test_that_empty_cells_alone_hold_no_curve(tmp_path, cells, message):
     empty = as_cells([np.empty((0, 0))] * cells)
     content = {"R_nondim_All": empty, "t_nondim_All": empty, "RmaxList": np.array([2e-4, 1e-4])}
     scipy.io.savemat(tmp_path / "gel.mat", content)
@@ -276,8 +238,8 @@ def test_that_empty_cells_alone_hold_no_curve(tmp_path: Path, cells: int, messag
 
 @pytest.mark.parametrize("where", ["file", "beside"])
 def test_that_dimensionless_times_are_undone_with_the_density_and_pressure_of_their_author(
-    tmp_path: Path, where: str
-) -> None:
+    tmp_path, where
+):
     scale = RADII.max() * (1064.0 / 95000.0) ** 0.5
     content = {
         "R_nondim_All": as_cells([RADII / RADII.max()]),
@@ -299,9 +261,7 @@ def test_that_dimensionless_times_are_undone_with_the_density_and_pressure_of_th
 
 
 @pytest.mark.parametrize("turned", [False, True])
-def test_that_a_matrix_of_curves_beside_their_times_is_a_curve_a_row_or_column(
-    tmp_path: Path, turned: bool
-) -> None:
+def test_that_a_matrix_of_curves_beside_their_times_is_a_curve_a_row_or_column(tmp_path, turned):
     """The first IMR code: ``Rnew`` in um, one row an experiment, and ``t`` in s."""
     curves = 1e6 * np.stack([RADII] * 3)
     matrix = curves.T if turned else curves
@@ -310,9 +270,7 @@ def test_that_a_matrix_of_curves_beside_their_times_is_a_curve_a_row_or_column(
     check(load_traces(tmp_path / "RofTdata.mat"), count=3)
 
 
-def test_that_inca_gives_converted_curves_its_table_and_what_it_exports_for_imr(
-    tmp_path: Path,
-) -> None:
+def test_that_inca_gives_converted_curves_its_table_and_what_it_exports_for_imr(tmp_path):
     converted = {"AverageRadius": 1e6 * RADII, "TimeVector": TIMES, "Area": np.ones(COUNT)}
     info = np.zeros(COUNT, dtype=[("AverageRadius", object), ("Area", object)])
     scipy.io.savemat(
@@ -336,9 +294,7 @@ def test_that_inca_gives_converted_curves_its_table_and_what_it_exports_for_imr(
 
 
 @pytest.mark.parametrize("version", ["v7", "v7.3"])
-def test_that_tables_timetables_and_strings_of_matlab_are_read(
-    tmp_path: Path, version: str
-) -> None:
+def test_that_tables_timetables_and_strings_of_matlab_are_read(tmp_path, version):
     path = tmp_path / "gel.mat"
     table = pd.DataFrame({"Time_s": TIMES, "Radius_um": 1e6 * RADII})
     matio.save_to_mat(str(path), {"T": table}, version=version)
@@ -360,18 +316,7 @@ def test_that_tables_timetables_and_strings_of_matlab_are_read(
     check(load_traces(path))
 
 
-def test_that_units_of_the_columns_of_a_table_are_used() -> None:
-    table = pd.DataFrame({"tau": TIMES, "size": 1e6 * RADII})
-    values: dict = {}
-    units: dict = {}
-    table.attrs["VariableUnits"] = ["s", "um"]
-    matlab._add_values("T", table, values, units)
-    assert units == {"T.tau": "s", "T.size": "um"}
-    layout = infer_layout(Content(Path("gel.mat"), values, units=units), Said())
-    assert (layout.radius, layout.radius_unit, layout.time) == ("T.size", "um", "T.tau")
-
-
-def test_that_names_of_cells_and_numbers_of_frames_tell_no_rows_apart(tmp_path: Path) -> None:
+def test_that_names_of_cells_and_numbers_of_frames_tell_no_rows_apart(tmp_path):
     curves = {"R_um": as_cells([1e6 * RADII] * 2), "t_us": 1e6 * TIMES}
     scipy.io.savemat(tmp_path / "cells.mat", curves | {"id": as_cells(["first", "second"])})
     check(load_traces(tmp_path / "cells.mat"), count=2)
@@ -384,7 +329,7 @@ def test_that_names_of_cells_and_numbers_of_frames_tell_no_rows_apart(tmp_path: 
         load_traces(tmp_path / "axes.mat")
 
 
-def test_that_digitised_curves_are_sorted_where_this_is_asked_for(tmp_path: Path) -> None:
+def test_that_digitised_curves_are_sorted_where_this_is_asked_for(tmp_path):
     order = np.random.default_rng(1).permutation(COUNT)
     order = np.append(order, order[0])
     rows = [f"{1e6 * TIMES[i]:.6g},{1e6 * RADII[i]:.9g}" for i in order]
@@ -400,7 +345,7 @@ def test_that_digitised_curves_are_sorted_where_this_is_asked_for(tmp_path: Path
     ]
 
 
-def test_that_two_half_axes_are_a_radius_and_an_asphericity(tmp_path: Path) -> None:
+def test_that_two_half_axes_are_a_radius_and_an_asphericity(tmp_path):
     stretch = np.linspace(0.9, 1.1, COUNT)
     across = 1e6 * RADII * stretch ** (1 / 3)
     along = 1e6 * RADII * stretch ** (-2 / 3)
@@ -411,9 +356,7 @@ def test_that_two_half_axes_are_a_radius_and_an_asphericity(tmp_path: Path) -> N
     check(traces, first=1)
     (trace,) = traces
     assert trace.asphericity is not None
-    torch.testing.assert_close(
-        trace.asphericity, torch.as_tensor(stretch[1:] - 1.0), rtol=1e-9, atol=1e-12
-    )
+    assert_close(trace.asphericity, torch.as_tensor(stretch[1:] - 1.0), rtol=1e-9, atol=1e-12)
     assert "half axes a and b of an ellipsoid" in traces.notes[0]
     assert "asphericity a/b - 1 from -0.095 to 0.1" in traces.report()
     (tmp_path / "gel.csv").write_text("\n".join(["t (us),a (um),b (mm)", *rows]))
@@ -421,9 +364,7 @@ def test_that_two_half_axes_are_a_radius_and_an_asphericity(tmp_path: Path) -> N
         load_traces(tmp_path / "gel.csv")
 
 
-def test_that_lengths_of_fitted_ellipses_take_their_scales_from_the_json_beside(
-    tmp_path: Path,
-) -> None:
+def test_that_lengths_of_fitted_ellipses_take_their_scales_from_the_json_beside(tmp_path):
     """Ellipses that were fitted to frames: half axes in pixels, -1 where there was no bubble."""
     lengths = np.concatenate([[-1.0, -1.0], 1e6 * RADII / 3.2])
     axes = {"a_lengths": 1.1 ** (1 / 3) * lengths, "b_lengths": 1.1 ** (-2 / 3) * lengths}
@@ -437,7 +378,7 @@ def test_that_lengths_of_fitted_ellipses_take_their_scales_from_the_json_beside(
     assert traces[0].asphericity.numpy() == pytest.approx(0.1)
 
 
-def test_that_collapse_times_of_parsimonious_imr_are_read(tmp_path: Path) -> None:
+def test_that_collapse_times_of_parsimonious_imr_are_read(tmp_path):
     array = np.array([[3.4e-4, 8.0, 3.05e-5], [3.0e-4, 7.5, 2.7e-5]])
     scipy.io.savemat(tmp_path / "gel.mat", {"pIMR_array": array})
     shots = load_collapse_times(tmp_path / "gel.mat")
@@ -447,9 +388,7 @@ def test_that_collapse_times_of_parsimonious_imr_are_read(tmp_path: Path) -> Non
         load_collapse_times(tmp_path / "bad.mat")
 
 
-def test_that_tables_of_matlab_ask_for_the_library_that_reads_them(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_that_tables_of_matlab_ask_for_the_library_that_reads_them(tmp_path, monkeypatch):
     table = pd.DataFrame({"Time_s": TIMES, "Radius_um": 1e6 * RADII})
     monkeypatch.setattr(matlab, "find_spec", lambda name: None)
     for version in ("v7", "v7.3"):

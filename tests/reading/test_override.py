@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import linspace
 from imr_torch.observe import (
     Given,
     Override,
@@ -20,7 +21,7 @@ from imr_torch.observe import (
 
 
 def trace(override: Override | None = None) -> RadiusTrace:
-    time = torch.linspace(-4e-6, 90e-6, 189, dtype=torch.float64)
+    time = linspace(-4e-6, 90e-6, 189)
     radius = 200e-6 * (0.55 + 0.45 * (-time.clamp(min=0.0) / 2e-4).exp() * torch.cos(1.6e5 * time))
     return RadiusTrace(
         "shot",
@@ -45,7 +46,7 @@ def write(folder: Path, curves: tuple[str, ...] = ("shot",), beside: dict | None
     return folder / "gel.csv"
 
 
-def test_that_what_is_stated_replaces_what_is_found_and_the_rest_is_found() -> None:
+def test_that_what_is_stated_replaces_what_is_found_and_the_rest_is_found():
     found = find_landmarks(trace())
     stated = find_landmarks(
         trace(Override(max_radius_m=2.05e-4, rest_radius_m=6e-5, rest_radius_sd_m=3e-6))
@@ -62,7 +63,7 @@ def test_that_what_is_stated_replaces_what_is_found_and_the_rest_is_found() -> N
     assert find_landmarks(trace(Override())) == found
 
 
-def test_that_the_window_ends_where_it_is_stated() -> None:
+def test_that_the_window_ends_where_it_is_stated():
     one = trace(Override(window_end_s=30e-6))
     prepared = prepare(TraceSet((one,)), collapses=2)
     inside = (one.time_s >= prepared.landmarks["shot"].time_of_max_s) & (one.time_s <= 30e-6)
@@ -71,7 +72,7 @@ def test_that_the_window_ends_where_it_is_stated() -> None:
     assert len(longer.experiments[0].times) > 2 * int(inside.sum())
 
 
-def test_that_a_window_without_frames_is_refused() -> None:
+def test_that_a_window_without_frames_is_refused():
     with pytest.raises(
         InputDataError,
         match=r"1 frames between its maximum and the stated end of the window at 0\.4 us",
@@ -87,12 +88,12 @@ def test_that_a_window_without_frames_is_refused() -> None:
         ({"window_end_s": float("nan")}, r"Override\.window_end_s is nan; expected seconds"),
     ],
 )
-def test_that_impossible_values_are_refused(values: dict[str, float], text: str) -> None:
+def test_that_impossible_values_are_refused(values, text):
     with pytest.raises(InputDataError, match=text):
         Override(**values)
 
 
-def test_that_what_is_stated_is_read_again_and_counts_before_the_laboratory(tmp_path: Path) -> None:
+def test_that_what_is_stated_is_read_again_and_counts_before_the_laboratory(tmp_path):
     said = {
         "medium": "gel",
         "experiments": [
@@ -115,7 +116,7 @@ def test_that_what_is_stated_is_read_again_and_counts_before_the_laboratory(tmp_
     assert load_traces(path)["a"].given.override is None
 
 
-def test_that_the_values_at_the_top_of_a_file_with_one_curve_stay_valid(tmp_path: Path) -> None:
+def test_that_the_values_at_the_top_of_a_file_with_one_curve_stay_valid(tmp_path):
     path = write(tmp_path, beside={"Rinf_m": 5.5e-5, "Rinf_sd_m": 1e-6})
     state(path, "shot", {"t_Rmax_s": 1e-6}, alone=True)
     (one,) = load_traces(path)
@@ -123,7 +124,7 @@ def test_that_the_values_at_the_top_of_a_file_with_one_curve_stay_valid(tmp_path
     assert find_landmarks(one).time_of_max_s == 1e-6
 
 
-def test_that_unknown_fields_and_wrong_values_are_named(tmp_path: Path) -> None:
+def test_that_unknown_fields_and_wrong_values_are_named(tmp_path):
     path = write(tmp_path, beside={"override": {"Rmax": 1.0}})
     with pytest.raises(
         InputDataError,

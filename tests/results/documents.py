@@ -5,6 +5,7 @@ import torch
 from imr_torch import PolytropicSimulator, characterize, wide_prior
 from imr_torch.assimilate import SearchOptions
 from imr_torch.characterization import Characterization
+from imr_torch.float64 import linspace, randn, tensor
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import RadiusTrace, TraceSet
 from imr_torch.random import generator
@@ -26,14 +27,14 @@ def traces(
     source = generator(3)
     for number, label in enumerate(labels):
         size = 200e-6 + 60e-6 * number
-        times = torch.linspace(0.0, 3.2, frames, dtype=torch.float64)
-        design = torch.tensor([Surroundings().weber(size), 0.2], dtype=torch.float64)
+        times = linspace(0.0, 3.2, frames)
+        design = tensor([Surroundings().weber(size), 0.2])
         gel = PARAMETERS.pack(GEL | extra)
-        before = torch.tensor([0.03, 0.06, 0.09], dtype=torch.float64)
+        before = tensor([0.03, 0.06, 0.09])
         radius = torch.cat([SIMULATOR(gel, design, t).radius for t in (before, times)])
         radius[:3] = radius[:3].flip(0)  # growth mirrors the collapse where the bubble is large
         times = torch.cat((-before.flip(0), times))
-        radius = radius + noise * torch.randn(len(radius), generator=source, dtype=torch.float64)
+        radius = radius + noise * randn(len(radius), generator=source)
         time_s = 5e-6 + times * Surroundings().time_scale(size)
         found.append(RadiusTrace(label, time_s, size * radius.clamp_min(1e-3), "folder/gel.csv"))
     return TraceSet(tuple(found))

@@ -5,26 +5,21 @@ import json
 import re
 import shutil
 import subprocess
-from dataclasses import replace
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from imr_torch.characterization import EFFORTS
 from imr_torch.cli import main
-from imr_torch.cli.plot import save_figures
 from imr_torch.errors import InputDataError
 from imr_torch.files import write_json
 from imr_torch.labels import file_name, plain
 from imr_torch.results import (
-    NamedFigure,
     check_document,
     document_page,
     draw_figures,
     header,
-    read_document,
 )
 from imr_torch.results.figures import curve_figure
 
@@ -74,22 +69,6 @@ def test_that_fitted_frames_are_the_ones_of_the_experiment(result, document):
         fitted = np.array(seen["fitted"])
         assert np.array(seen["R_star"])[fitted] == pytest.approx(experiment.radius[0].numpy())
         assert np.array(seen["t_star"])[fitted] == pytest.approx(experiment.times.numpy())
-
-
-def test_that_a_collapse_is_drawn_round(document):
-    """Frames are .03 apart; the drawn curve changes by little between points, down to a lower
-    minimum than any frame's.
-    """
-    for curve in document["curves"]:
-        model = curve["models"]["nhkv"]
-        seen = curve["measured"]
-        t = np.array(model["t_star"])
-        r = np.array(model["R_star"])
-        assert (np.diff(t) >= 0.0).all()
-        assert np.abs(np.diff(r)).max() < 0.04
-        frames = np.array(seen["R_star"])[np.array(seen["fitted"])]
-        assert np.abs(np.diff(frames)).max() > 0.1
-        assert r.min() < frames.min() + 0.01
 
 
 def test_that_the_drawn_curve_goes_through_the_predictions(result, document):
@@ -148,13 +127,6 @@ def test_that_a_document_of_another_kind_or_version_is_refused(document, message
         check_document(document)
 
 
-@pytest.mark.parametrize("text", ["{", "\x00", ""])
-def test_that_a_file_that_is_no_json_is_refused(text, tmp_path):
-    (tmp_path / "bad.json").write_text(text)
-    with pytest.raises(InputDataError, match=r"bad\.json: cannot be used"):
-        read_document(tmp_path / "bad.json")
-
-
 def test_that_labels_give_file_names_of_their_own_that_fit_a_file_system():
     names = [file_name(label) for label in ("a/b", "a_b", "a b", "..", "x" * 300, "x" * 299, "é")]
     assert len(set(names)) == len(names)
@@ -179,19 +151,7 @@ def test_that_every_figure_is_drawn_from_the_file_alone_and_none_overwrites_anot
     rendered, document, tmp_path
 ):
     write_json(tmp_path / "result.json", document)
-    assert (
-        main(
-            [
-                "plot",
-                str(tmp_path / "result.json"),
-                "--out",
-                str(tmp_path / "again"),
-                "--format",
-                "png,svg",
-            ]
-        )
-        == 0
-    )
+    assert main(f"plot {tmp_path}/result.json --out {tmp_path}/again --format png,svg".split()) == 0
     names = {path.stem for path in (tmp_path / "again").glob("*.png")}
     curves = {f"curve_{file_name(label)}" for label in documents.LABELS}
     assert names == {
@@ -208,16 +168,6 @@ def test_that_every_figure_is_drawn_from_the_file_alone_and_none_overwrites_anot
     drawn = (tmp_path / "again" / f"curve_{file_name('$x_{bad$')}.svg").read_text()
     assert "$x_{bad$" in drawn
     assert "not fitted" in drawn
-
-
-def test_that_a_figure_that_fails_costs_no_other(tmp_path):
-    def fail():
-        raise ValueError("no such glyph")
-
-    figures = [NamedFigure("first", "", "", fail), NamedFigure("second", "", "", plt.figure)]
-    failed = ["the figure first could not be drawn (ValueError: no such glyph)"]
-    assert save_figures(figures, tmp_path, ["png"]) == failed
-    assert [path.name for path in tmp_path.iterdir()] == ["second.png"]
 
 
 def test_that_the_figure_marks_unused_frames_and_has_second_axes(document):
@@ -264,13 +214,6 @@ def test_that_the_shape_of_a_bubble_is_drawn_where_two_axes_were_seen(document):
     assert points.get_ydata().tolist() == seen["asphericity"]
 
 
-def test_that_a_page_without_a_figure_keeps_the_numbers(document, monkeypatch):
-    monkeypatch.setattr("imr_torch.results.figures.curve_figure", lambda *_: 1 / 0)
-    text = document_page(document)
-    assert "could not be drawn (ZeroDivisionError" in text
-    assert "G, shear modulus" in text
-
-
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium")
 @pytest.mark.parametrize("width", [400, 1200])
 def test_that_a_browser_shows_the_page_without_scrolling_sideways(document, tmp_path, width):
@@ -291,12 +234,14 @@ def wider_than(page: str, width: int, folder: Path) -> int:
     done = subprocess.run(
         [
             BROWSER,
-            "--headless",
-            "--no-sandbox",
-            "--disable-gpu",
-            "--allow-file-access-from-files",
-            "--virtual-time-budget=4000",
-            "--dump-dom",
+            *[
+                "--headless",
+                "--no-sandbox",
+                "--disable-gpu",
+                "--allow-file-access-from-files",
+                "--virtual-time-budget=4000",
+                "--dump-dom",
+            ],
             f"file://{folder}/frame.html",
         ],
         capture_output=True,
@@ -329,18 +274,6 @@ def test_that_curves_of_the_model_are_explained_and_those_of_an_unmodelled_effec
     assert 'class="verdict warning"' in document_page(lossy)
 
 
-@pytest.mark.parametrize(
-    ("effort", "shots", "widened", "rounds"),
-    [("normal", 8, 5.0, 2), ("normal", 8, 1.5, 4), ("normal", 7, 5.0, 4), ("thorough", 8, 5.0, 8)],
-)
-def test_that_draws_about_many_missed_curves_are_few(result, effort, shots, widened, rounds):
-    found, _ = result
-    batch = found.assimilation.batch
-    noise = replace(batch.noise, widened=widened)
-    many = replace(batch, experiments=batch.experiments[:1] * shots, noise=noise)
-    assert EFFORTS[effort].rounds_for(many) == rounds
-
-
 def test_that_the_command_line_writes_json_before_figures_and_the_page(
     rendered, few_deviations, tmp_path, monkeypatch, capsys
 ):
@@ -352,20 +285,11 @@ def test_that_the_command_line_writes_json_before_figures_and_the_page(
     ]
     (tmp_path / "gel.csv").write_text("experiment_id,time_s,radius_m\n" + "\n".join(rows) + "\n")
     monkeypatch.setattr("imr_torch.results.figures.residuals_figure", lambda *_: 1 / 0)
-    arguments = [
-        "characterize",
-        str(tmp_path / "gel.csv"),
-        "--models",
-        "nhkv",
-        "--rest-radius",
-        "0.2:0.01",
-        "--physics",
-        "polytropic",
-    ]
+    arguments = (
+        f"characterize {tmp_path}/gel.csv --models nhkv --rest-radius 0.2:0.01 --physics polytropic"
+    ).split()
     out = tmp_path / "out"
-    assert (
-        main([*arguments, "--quiet", "--out", str(out), "--html", str(tmp_path / "page.html")]) == 0
-    )
+    assert main([*arguments, *f"--quiet --out {out} --html {tmp_path}/page.html".split()]) == 0
     document = json.loads((out / "characterize.json").read_text())
     assert document["files"][0]["name"] == "gel.csv"
     assert document["command"].startswith("imr-torch characterize ")
@@ -388,5 +312,5 @@ def test_that_plot_refuses_what_it_cannot_draw(tmp_path, capsys):
     write_json(tmp_path / "r.json", header("demo"))
     assert main(["plot", str(tmp_path / "r.json")]) == 2
     assert "holds no curves or map to draw" in capsys.readouterr().err
-    assert main(["plot", str(tmp_path / "r.json"), "--format", "gif"]) == 2
+    assert main(f"plot {tmp_path}/r.json --format gif".split()) == 2
     assert "--format is 'gif'; expected some of png, pdf, svg" in capsys.readouterr().err

@@ -80,12 +80,12 @@ DOCUMENTS = {
 }
 
 
-def test_that_every_kind_of_result_with_a_page_is_among_these() -> None:
+def test_that_every_kind_of_result_with_a_page_is_among_these():
     assert {*TITLES} == {*DOCUMENTS, "diagnose"}  # which tests/gap/test_document.py reads
 
 
 @pytest.mark.parametrize("kind", DOCUMENTS)
-def test_that_text_and_page_say_that_the_model_misses_the_curves(kind: str, tmp_path: Path) -> None:
+def test_that_text_and_page_say_that_the_model_misses_the_curves(kind, tmp_path):
     document = header(kind) | DOCUMENTS[kind](tmp_path)
     assert "does not explain" in document_report(document)
     page = document_page(document)
@@ -94,11 +94,11 @@ def test_that_text_and_page_say_that_the_model_misses_the_curves(kind: str, tmp_
 
 
 @pytest.fixture(scope="module")
-def missed() -> dict:
+def missed():
     return characterize_document(Path())
 
 
-def test_that_every_figure_of_a_misfit_says_so(missed: dict) -> None:
+def test_that_every_figure_of_a_misfit_says_so(missed):
     for document, said in ((missed, True), (missed | {"fit_test": None}, False)):
         for item in draw_figures(document):
             figure = item.draw()
@@ -106,14 +106,14 @@ def test_that_every_figure_of_a_misfit_says_so(missed: dict) -> None:
             plt.close(figure)
 
 
-def test_that_tables_and_matlab_files_say_so(missed: dict, tmp_path: Path) -> None:
+def test_that_tables_and_matlab_files_say_so(missed, tmp_path):
     gel = SavedCharacterization.from_dict(missed)
     assert [row["explained"] for row in gel.rows()] == [False] * len(gel.intervals())
     write_mat(missed, tmp_path / "gel.mat")
     assert "does not explain" in loadmat(tmp_path / "gel.mat", squeeze_me=True)["fit"]
 
 
-def test_that_the_largest_residual_of_the_sentence_is_that_of_the_figures() -> None:
+def test_that_the_largest_residual_of_the_sentence_is_that_of_the_figures():
     document = documented(traces(("a", "b"), noise=0.003))
     own = [
         value
@@ -123,7 +123,7 @@ def test_that_the_largest_residual_of_the_sentence_is_that_of_the_figures() -> N
     assert document["fit_test"]["sigma"] == pytest.approx(max(own, key=abs), rel=1e-6)
 
 
-def test_that_a_result_that_says_something_else_of_its_fit_is_refused(missed: dict) -> None:
+def test_that_a_result_that_says_something_else_of_its_fit_is_refused(missed):
     for said in (5, "no", [1], True, {"explained": "no"}):
         with pytest.raises(InputDataError, match="fit_test"):
             SavedCharacterization.from_dict(missed | {"fit_test": said})

@@ -40,7 +40,7 @@ def population(**changes) -> dict:
     return found | changes
 
 
-def test_that_every_shot_is_drawn_twice_beside_the_median() -> None:
+def test_that_every_shot_is_drawn_twice_beside_the_median():
     figure = population_figure(population())
     (ax,) = figure.axes
     bars = [bar for found in ax.containers for bar in found[2]]
@@ -58,7 +58,7 @@ def page_part(found: dict) -> str:
     return str(module.population_part(found))
 
 
-def test_that_the_page_states_median_scatter_and_evidence() -> None:
+def test_that_the_page_states_median_scatter_and_evidence():
     text = page_part(population())
     cells = re.findall("<td>(.*?)</td>", text)
     assert cells[1:4] == [
@@ -77,7 +77,7 @@ def test_that_the_page_states_median_scatter_and_evidence() -> None:
         (["--scatter-scale", "0.3"], "--scatter-scale is about --population"),
     ],
 )
-def test_that_options_that_do_not_go_together_are_refused(options, message, capsys) -> None:
+def test_that_options_that_do_not_go_together_are_refused(options, message, capsys):
     assert main(["characterize", "gel.csv", *options]) != 0
     assert message in capsys.readouterr().err
 
@@ -95,8 +95,8 @@ def _written(folder, count: int) -> str:
 
 
 def test_that_the_command_writes_report_json_figure_and_page(
-    rendered: None, few_deviations: None, tmp_path, capsys
-) -> None:
+    rendered, few_deviations, tmp_path, capsys
+):
     options = [
         "--models",
         "nhkv",
@@ -116,11 +116,7 @@ def test_that_the_command_writes_report_json_figure_and_page(
                 "characterize",
                 _written(tmp_path, 3),
                 *options,
-                "--quiet",
-                "--out",
-                str(out),
-                "--html",
-                str(page),
+                *f"--quiet --out {out} --html {page}".split(),
             ]
         )
         == 0
@@ -138,7 +134,7 @@ def test_that_the_command_writes_report_json_figure_and_page(
     assert "standard deviation between shots of ln G" in capsys.readouterr().out
 
 
-def test_that_a_population_of_one_curve_is_refused(monkeypatch) -> None:
+def test_that_a_population_of_one_curve_is_refused(monkeypatch):
     with pytest.raises(
         InputDataError, match="A population is inferred from curves, and there is 1"
     ):

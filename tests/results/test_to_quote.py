@@ -13,7 +13,7 @@ MISSED = {"explained": False, "sentence": "Misfit: the model does not explain th
 
 
 @pytest.fixture(scope="module")
-def found() -> dict:
+def found():
     return documented(traces(("a", "b"), noise=0.003))
 
 
@@ -78,7 +78,7 @@ def population(*, verdict: str, cautions: tuple[str, ...] = ()) -> dict:
         ),
     ],
 )
-def test_that_the_last_sentence_says_what_to_quote(found: dict, change: dict, said: str) -> None:
+def test_that_the_last_sentence_says_what_to_quote(found, change, said):
     document = copy.deepcopy(found)
     model = document["models"]["nhkv"]
     model["verdict"] = change.get("verdict", "trusted")

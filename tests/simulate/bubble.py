@@ -11,6 +11,7 @@ import torch
 from scipy.integrate import solve_ivp
 from torch import Tensor
 
+from imr_torch.float64 import linspace
 from imr_torch.material import MATERIALS, PARAMETERS
 from imr_torch.simulate import (
     LIQUIDS,
@@ -53,7 +54,7 @@ def tensor(*values) -> Tensor:
 
 
 def grid(last: float = 3.0, count: int = 61) -> Tensor:
-    return torch.linspace(0.0, last, count, dtype=torch.float64)
+    return linspace(0.0, last, count)
 
 
 def gel(**values: float) -> Tensor:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from imr_torch.float64 import linspace, tensor, zeros
 from imr_torch.simulate import Resolution
 from imr_torch.simulate.grids import Grid, _crowd_nodes, _map_outside
 
@@ -30,7 +31,7 @@ class AuthorsResolution(Resolution):
 
 
 def _outside(nodes: int, reach: float) -> Grid:
-    xi = torch.linspace(1.0, -1.0, nodes, dtype=torch.float64)
+    xi = linspace(1.0, -1.0, nodes)
     first, second = _central(nodes, xi[0] - xi[1])
     return _map_outside(xi, first, second, reach)
 
@@ -39,7 +40,7 @@ def _even_differences(nodes: int) -> tuple[Tensor, Tensor, Tensor]:
     """``nodes`` points from wall to centre, and second-order derivatives of a field that is even
     there.
     """
-    y = torch.linspace(1.0, 0.0, nodes, dtype=torch.float64)
+    y = linspace(1.0, 0.0, nodes)
     step = y[0] - y[1]
     first, second = _central(nodes, step)
     first[-1] = 0.0
@@ -58,11 +59,11 @@ def _central(nodes: int, step: Tensor) -> tuple[Tensor, Tensor]:
 
     One-sided and second-order at the wall.
     """
-    first = torch.zeros(nodes, nodes, dtype=torch.float64)
+    first = zeros(nodes, nodes)
     second = torch.zeros_like(first)
     inner = torch.arange(1, nodes - 1)
     first[inner, inner - 1], first[inner, inner + 1] = 0.5 / step, -0.5 / step
     second[inner, inner - 1] = second[inner, inner + 1] = 1.0 / step**2
     second[inner, inner] = -2.0 / step**2
-    first[0, :3] = torch.tensor([1.5, -2.0, 0.5], dtype=torch.float64) / step
+    first[0, :3] = tensor([1.5, -2.0, 0.5]) / step
     return first, second

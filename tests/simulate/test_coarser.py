@@ -2,8 +2,7 @@
 ones.
 """
 
-import torch
-
+from imr_torch.float64 import linspace, tensor
 from imr_torch.material import reference_case
 from imr_torch.simulate import (
     ACCURACIES,
@@ -12,8 +11,8 @@ from imr_torch.simulate import (
     coarser,
 )
 
-TIMES = torch.linspace(0.0, 3.0, 61, dtype=torch.float64)
-DESIGN = torch.tensor([400.0, 0.2], dtype=torch.float64)
+TIMES = linspace(0.0, 3.0, 61)
+DESIGN = tensor([400.0, 0.2])
 
 
 def test_that_only_finer_bubbles_of_the_full_physics_are_made_coarse():

@@ -15,7 +15,7 @@ def law(x: torch.Tensor) -> torch.Tensor:
     return scaled(x)
 
 
-def test_that_another_default_of_a_helper_is_other_code() -> None:
+def test_that_another_default_of_a_helper_is_other_code():
     before = b"".join(code_of(law))
     assert b"".join(code_of(law)) == before
     kept = scaled.__defaults__

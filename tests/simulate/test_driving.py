@@ -1,19 +1,17 @@
 """Far-field driving: its derivatives, its table, and what it does to a bubble."""
 
-import json
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
-from torch import Tensor
+from torch.testing import assert_close
 
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import linspace
 from imr_torch.simulate import (
     RADIAL_EQUATIONS,
     Accuracy,
@@ -39,17 +37,17 @@ EVERY = {"sine": SINE, "table": TABLE}
 
 
 @pytest.mark.parametrize("driving", EVERY.values(), ids=EVERY)
-def test_that_both_derivatives_are_those_of_the_pressure(driving: TabulatedDriving) -> None:
+def test_that_both_derivatives_are_those_of_the_pressure(driving):
     """By autograd, so that gradients through a solve that knows only the pressure are right too."""
-    time = torch.linspace(1e-7, 5.9e-5, 97, dtype=torch.float64, requires_grad=True)
+    time = linspace(1e-7, 5.9e-5, 97, requires_grad=True)
     value, rate, bend = driving(time)
     (by_value,) = torch.autograd.grad(value.sum(), time, retain_graph=True)
     (by_rate,) = torch.autograd.grad(rate.sum(), time)
-    torch.testing.assert_close(rate.detach(), by_value, rtol=1e-12, atol=1e-6)
-    torch.testing.assert_close(bend.detach(), by_rate, rtol=1e-12, atol=1e-1)
+    assert_close(rate.detach(), by_value, rtol=1e-12, atol=1e-6)
+    assert_close(bend.detach(), by_rate, rtol=1e-12, atol=1e-1)
 
 
-def test_that_a_table_is_met_at_its_samples_and_held_beyond_them() -> None:
+def test_that_a_table_is_met_at_its_samples_and_held_beyond_them():
     driving = TABLE
     knots = torch.tensor(driving.times, dtype=torch.float64)
     assert driving(knots)[0].tolist() == pytest.approx(driving.pressures, abs=1e-9)
@@ -174,12 +172,12 @@ def driven_reference(
 
 
 @pytest.mark.parametrize("motion", MOTIONS, ids=lambda x: f"{x.key}-{x.liquid.key}")
-def test_that_a_driven_bubble_is_scipys_in_every_radial_equation(motion: RadialEquation) -> None:
+def test_that_a_driven_bubble_is_scipys_in_every_radial_equation(motion):
     times = grid(1.6, 33)
     expected = driven_reference(SINE, motion, 300.0, 0.25, 0.02, times.numpy())
     conditions = Conditions(motion=motion, driving=SINE)
     solution = PolytropicSimulator(conditions, FINE)(gel(mu=0.02), tensor(300.0, 0.25), times)
-    torch.testing.assert_close(solution.radius, torch.tensor(expected), rtol=0.0, atol=2e-6)
+    assert_close(solution.radius, torch.tensor(expected), rtol=0.0, atol=2e-6)
 
 
 def isothermal(**options) -> Conditions:
@@ -191,7 +189,7 @@ def isothermal(**options) -> Conditions:
 
 
 @pytest.mark.parametrize("key", RADIAL_EQUATIONS)
-def test_that_both_simulators_are_driven_alike(key: str) -> None:
+def test_that_both_simulators_are_driven_alike(key):
     conditions = isothermal(motion=RADIAL_EQUATIONS[key], driving=SINE, initial_velocity=-1.5)
     arguments = gel(G=4e3, mu=0.1), tensor(300.0, 0.5), grid(1.5, 16)
     polytropic = PolytropicSimulator(conditions, FINE)(*arguments)
@@ -199,14 +197,6 @@ def test_that_both_simulators_are_driven_alike(key: str) -> None:
     assert bool(transport.ok)
     assert float(transport.velocity[0]) == pytest.approx(-1.5 / Surroundings().velocity_scale)
     assert float((transport.radius - polytropic.radius).abs().max()) < 3e-4
-
-
-@pytest.fixture(scope="module")
-def suites(shared: Path) -> dict[str, str]:
-    path = shared / "reference" / "imrv2_suite_public.json"
-    if not path.exists():
-        pytest.skip("the IMRv2 suite is not among the reference data")
-    return json.loads(path.read_text())["property_suites"]
 
 
 PULSED = {
@@ -219,17 +209,14 @@ PULSED |= {"ucm": {"tau_ucm": 1e-7, "retardation": 0.1}}
 
 
 @pytest.mark.parametrize("key", RADIAL_EQUATIONS)
-def test_that_a_bubble_returns_to_rest_after_a_slow_pulse_of_tension(
-    key: str, suites: dict[str, str]
-) -> None:
+def test_that_a_bubble_returns_to_rest_after_a_slow_pulse_of_tension(key):
     """A bubble of 10 um at rest in a very viscous gel, a tension of almost one atmosphere for .1 ms: 2000 units of time,
     which only the implicit solver strides over.
     """
-    assert "R0=Req=10e-6, mu=0.5" in suites["gaussian"]
     pulse = sampled(lambda t: -1e5 * np.exp(-(((t - 3e-4) / 1e-4) ** 2)), 2.1e-3)
     gels = torch.stack([gel(mu=0.5, **values) for values in PULSED.values()])
     outer = Surroundings(101325.0, 1064.0, 0.07, 298.15, 1484.0)
-    times = torch.linspace(0.0, 2e-3, 101, dtype=torch.float64) / outer.time_scale(10e-6)
+    times = linspace(0.0, 2e-3, 101) / outer.time_scale(10e-6)
     mixture = GasMixture(vapour="frozen")
     conditions = Conditions(
         outer,
@@ -252,11 +239,6 @@ def test_that_a_bubble_returns_to_rest_after_a_slow_pulse_of_tension(
             lambda: TabulatedDriving((0.0, 1.0), (0.0, 1.0)),
             r"2 times and 2 pressures; expected as many of each, at least three",
         ),
-        (lambda: TabulatedDriving((0.0, 1.0, 2.0), (0.0, 1.0)), r"3 times and 2 pressures"),
-        (
-            lambda: TabulatedDriving((0.0, 1.0, math.nan), (0.0, 1.0, 2.0)),
-            r"holds a value that is not finite",
-        ),
         (
             lambda: TabulatedDriving((0.0, 1.0, 1.0), (0.0, 1.0, 2.0)),
             r"times must increase; sort them and drop repeated ones",
@@ -265,34 +247,8 @@ def test_that_a_bubble_returns_to_rest_after_a_slow_pulse_of_tension(
             lambda: Conditions(motion="gilmore"),
             r"Conditions.motion is 'gilmore'; expected a RadialEquation",
         ),  # type: ignore[arg-type]
-        (
-            lambda: Conditions(initial_velocity=math.nan),
-            r"Conditions.initial_velocity is nan; it must be finite, in m/s",
-        ),
     ],
 )
-def test_that_bad_options_are_named(call: Callable[[], object], message: str) -> None:
+def test_that_bad_options_are_named(call, message):
     with pytest.raises(InputDataError, match=message):
         call()
-
-
-def test_that_gradients_pass_through_a_tabulated_drive() -> None:
-    """The solver's time depends on the gel, so the pressure must be differentiable in time."""
-    moments = torch.linspace(0.0, 3e-4, 61, dtype=torch.float64)
-    table = TabulatedDriving(tuple(moments.tolist()), tuple(SINE(moments)[0].tolist()))
-    simulator = PolytropicSimulator(Conditions(driving=table))
-    parameters = gel(G=5e3, mu=0.05).requires_grad_()
-    designs = tensor(300.0, 0.3)
-    times = grid(1.0, 8)
-
-    def total(p: Tensor) -> Tensor:
-        return simulator(p, designs, times).radius.square().sum(-1)
-
-    (slope,) = torch.autograd.grad(total(parameters), parameters)
-    step = torch.zeros(2, parameters.shape[0], dtype=torch.float64)
-    step[0, 0], step[1, 1] = 0.5, 5e-6
-    point = parameters.detach()
-    difference = (total(point + step) - total(point - step)) / torch.tensor(
-        [1.0, 1e-5], dtype=torch.float64
-    )
-    torch.testing.assert_close(slope[:2], difference, rtol=1e-5, atol=0.0)

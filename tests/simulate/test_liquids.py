@@ -1,15 +1,13 @@
 """Liquids: enthalpy, specific volume and sound speed are of one equation of state, which is the one that is named."""
 
-import math
-
 import pytest
 import torch
 from scipy.integrate import quad
 from torch import Tensor
+from torch.testing import assert_close
 
 from imr_torch.errors import InputDataError
 from imr_torch.simulate import LIQUIDS, ConstantDensity, Liquid, MieGruneisen, NobleAbel, Tait
-from tests.laws import assert_alike
 from tests.simulate.bubble import tensor
 
 ALL = pytest.mark.parametrize("liquid", LIQUIDS.values(), ids=LIQUIDS)
@@ -25,7 +23,7 @@ def at(liquid: Liquid, pressure: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 @ALL
-def test_that_enthalpy_is_the_integral_of_the_specific_volume(liquid: Liquid) -> None:
+def test_that_enthalpy_is_the_integral_of_the_specific_volume(liquid):
     def volume(pressure: float) -> float:
         return float(at(liquid, tensor(pressure))[1])
 
@@ -36,7 +34,7 @@ def test_that_enthalpy_is_the_integral_of_the_specific_volume(liquid: Liquid) ->
 
 
 @COMPRESSIBLE
-def test_that_the_sound_speed_is_that_of_the_density(liquid: Liquid) -> None:
+def test_that_the_sound_speed_is_that_of_the_density(liquid):
     """``c^2 = dp/d(1/w) = -w^2/(dw/dp)`` over that of the undisturbed liquid."""
     pressure = PRESSURES.clone().requires_grad_()
     _, volume, slower = at(liquid, pressure)
@@ -44,38 +42,31 @@ def test_that_the_sound_speed_is_that_of_the_density(liquid: Liquid) -> None:
     volume = volume.detach()
     slower = slower.detach()
     squared = -(volume**2) / slope
-    torch.testing.assert_close(slower**-2, squared / squared[2], rtol=1e-11, atol=0.0)
+    assert_close(slower**-2, squared / squared[2], rtol=1e-11, atol=0.0)
     assert float(slower[2]) == pytest.approx(1.0, abs=1e-14)
     assert float(volume[2]) == pytest.approx(1.0, abs=1e-14)
 
 
-def test_that_each_is_the_equation_of_state_that_is_named() -> None:
+def test_that_each_is_the_equation_of_state_that_is_named():
     p = PRESSURES
     tait = Tait()
     density = 1.0 / at(tait, p)[1]
-    torch.testing.assert_close(
+    assert_close(
         density**tait.exponent, (p + tait.stiffness) / (1.0 + tait.stiffness), rtol=1e-13, atol=0.0
     )
     gas = NobleAbel()
     constant = (p + gas.stiffness) * (at(gas, p)[1] - gas.covolume) ** gas.exponent
-    torch.testing.assert_close(constant, constant[2].expand(6), rtol=1e-13, atol=0.0)
+    assert_close(constant, constant[2].expand(6), rtol=1e-13, atol=0.0)
     shock = MieGruneisen()
     packed = 1.0 / at(shock, p)[1] - 1.0
     load = packed * (1.0 + packed) / (1.0 - (shock.slope - 1.0) * packed) ** 2
-    torch.testing.assert_close(1.0 + load / SLOWNESS**2, p, rtol=1e-12, atol=1e-11)
+    assert_close(1.0 + load / SLOWNESS**2, p, rtol=1e-12, atol=1e-11)
     # the Hugoniot: p = c^2 m (1 + m)/(1 - (slope - 1) m)^2 is u = m/(1 + m) D, D = 1 + slope u
     speed = 1.0 / (1.0 - shock.slope * packed / (1.0 + packed))
-    torch.testing.assert_close(load, speed**2 * packed / (1.0 + packed), rtol=1e-12, atol=1e-15)
+    assert_close(load, speed**2 * packed / (1.0 + packed), rtol=1e-12, atol=1e-15)
 
 
-def test_that_a_noble_abel_liquid_without_covolume_is_taits() -> None:
-    for a, b in zip(
-        at(Tait(), PRESSURES), at(NobleAbel(7.15, Tait().stiffness, 1e-300), PRESSURES), strict=True
-    ):
-        torch.testing.assert_close(a, b, rtol=1e-14, atol=0.0)
-
-
-def test_that_liquids_of_water_stiffen_alike() -> None:
+def test_that_liquids_of_water_stiffen_alike():
     """By 1000 atm water is 4 % denser and some 10 % faster (IAPWS-95: 1660 m/s, of 1497)."""
     for liquid in (Tait(), NobleAbel(), MieGruneisen()):
         _, volume, slower = at(liquid, tensor(1000.0))
@@ -83,23 +74,14 @@ def test_that_liquids_of_water_stiffen_alike() -> None:
         assert 0.85 < float(slower) < 0.92
 
 
-@ALL
-def test_that_a_liquid_is_its_compiled_self(liquid: Liquid) -> None:
-    for pressure in PRESSURES.tolist():
-        assert_alike(type(liquid).law, [pressure, SLOWNESS, *liquid.constants], range(1))
-
-
 @pytest.mark.parametrize(
     ("call", "message"),
     [
         (lambda: Tait(1.0), r"Tait\(exponent=1.0, .*expected exponent above 1"),
-        (lambda: Tait(7.15, 0.0), r"stiffness=0.0.*expected stiffness above 0"),
-        (lambda: Tait(math.nan), r"exponent=nan"),
-        (lambda: Tait(math.inf), r"exponent=inf"),
         (lambda: NobleAbel(covolume=1.0), r"expected covolume above 0 and below 1"),
         (lambda: MieGruneisen(slope=0.5), r"slope=0.5.*expected slope above 1"),
     ],
 )
-def test_that_bad_constants_are_named(call, message: str) -> None:
+def test_that_bad_constants_are_named(call, message):
     with pytest.raises(InputDataError, match=message):
         call()

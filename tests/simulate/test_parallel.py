@@ -8,7 +8,6 @@ import pytest
 
 from imr_torch.errors import InputDataError
 from imr_torch.simulate import process_pool
-from tests.processes import Processes
 
 
 def test_that_a_pool_has_workers():
@@ -23,7 +22,7 @@ def test_a_process_pool_has_fresh_processes():
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kills a process by its number")
-def test_that_workers_end_with_a_process_that_is_killed(processes: Processes) -> None:
+def test_that_workers_end_with_a_process_that_is_killed(processes):
     script = (
         "import os, signal\n"
         "from imr_torch.simulate import process_pool\n"

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 from scipy.integrate import quad
+from torch.testing import assert_close
 
-from imr_torch.material import MATERIALS
 from imr_torch.simulate import Conditions, PolytropicGas, PolytropicSimulator
 from imr_torch.units import Surroundings
-from tests.simulate.bubble import FINE, gel, gel_of, grid, tensor
+from tests.simulate.bubble import FINE, gel, grid, tensor
 
 
 def empty_bubble(exponent: float) -> Conditions:
@@ -27,7 +27,7 @@ def energy_speed(radius: float, gas: float, kappa: float) -> float:
     return math.sqrt(work / radius**3)
 
 
-def test_that_an_empty_bubble_collapses_in_rayleighs_time() -> None:
+def test_that_an_empty_bubble_collapses_in_rayleighs_time():
     """.914681 (``sqrt(3/2) B(5/6, 1/2)/3``).
 
     Gas of 1e-9 p_inf turns the wall at R = 4e-5 Rmax, within 1e-9 of that time.
@@ -41,7 +41,7 @@ def test_that_an_empty_bubble_collapses_in_rayleighs_time() -> None:
 
 
 @pytest.mark.parametrize(("rest", "kappa"), [(0.1, 1.4), (0.1, 5.0 / 3.0), (0.02, 1.3), (0.3, 1.4)])
-def test_that_the_collapse_follows_from_the_energy_alone(rest: float, kappa: float) -> None:
+def test_that_the_collapse_follows_from_the_energy_alone(rest, kappa):
     """Time and speed at radii on the way down, by quadrature of ``dR/|U|`` (substituting ``R = 1 - s^2``)."""
     gas = rest**3 * (1.0 + 1.0 / (1e12 * rest))
     radii = np.array([0.99, 0.9, 0.7, 0.5, 0.4])
@@ -58,12 +58,12 @@ def test_that_the_collapse_follows_from_the_energy_alone(rest: float, kappa: flo
     solution = PolytropicSimulator(empty_bubble(kappa), FINE)(
         gel(), tensor(1e12, rest), tensor(*times)
     )
-    torch.testing.assert_close(solution.radius, torch.tensor(radii), rtol=0.0, atol=2e-7)
+    assert_close(solution.radius, torch.tensor(radii), rtol=0.0, atol=2e-7)
     speed = tensor(*[-energy_speed(r, gas, kappa) for r in radii])
-    torch.testing.assert_close(solution.velocity, speed, rtol=1e-6, atol=0.0)
+    assert_close(solution.velocity, speed, rtol=1e-6, atol=0.0)
 
 
-def test_that_energy_is_kept_without_sound_and_viscosity_through_three_rebounds() -> None:
+def test_that_energy_is_kept_without_sound_and_viscosity_through_three_rebounds():
     kappa = 1.4
     rest = 0.2
     gas = rest**3 * (1.0 + 1.0 / (1e12 * rest))
@@ -108,9 +108,7 @@ LINEAR = {
 
 
 @pytest.mark.parametrize(("conditions", "values", "weber"), LINEAR.values(), ids=LINEAR.keys())
-def test_that_a_small_oscillation_has_the_linear_frequency_and_damping(
-    conditions: Conditions, values: dict[str, float], weber: float
-) -> None:
+def test_that_a_small_oscillation_has_the_linear_frequency_and_damping(conditions, values, weber):
     """``R = R_e + x``: ``R_e (1 + b/c) x'' + (b + R_e k/c) x' + k x = 0`` with ``k = (3 kappa p_g - 1/(We R_e) + 4/Ca)/R_e``
     and ``b = 4/(Re R_e)``; the error is of the order of the amplitude, 1e-4.
     """
@@ -129,12 +127,4 @@ def test_that_a_small_oscillation_has_the_linear_frequency_and_damping(
     t = grid(8.0, 161)
     x = torch.exp(-decay * t) * (torch.cos(omega * t) + decay / omega * torch.sin(omega * t))
     solution = PolytropicSimulator(conditions, FINE)(gel(**values), tensor(weber, rest), t)
-    torch.testing.assert_close((solution.radius - rest) / (1.0 - rest), x, rtol=0.0, atol=2e-3)
-
-
-@pytest.mark.parametrize("model", MATERIALS)
-def test_that_a_bubble_released_at_rest_stays_put(model: str) -> None:
-    conditions = Conditions(gas=PolytropicGas(1.3, "rest"))
-    solution = PolytropicSimulator(conditions)(gel_of(model), tensor(300.0, 1.0 - 1e-12), grid(5.0))
-    assert float((solution.radius - 1.0).abs().max()) < 1e-11
-    assert float(solution.velocity.abs().max()) < 1e-11
+    assert_close((solution.radius - rest) / (1.0 - rest), x, rtol=0.0, atol=2e-3)

@@ -1,7 +1,6 @@
 """The polytropic simulator against SciPy on separately written equations, its own convergence, and another public code."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -34,9 +33,7 @@ SCENES = {
 
 
 @pytest.mark.parametrize(("conditions", "values", "design"), SCENES.values(), ids=SCENES.keys())
-def test_that_the_solution_is_scipys(
-    conditions: Conditions, values: dict[str, float], design: tuple[float, float]
-) -> None:
+def test_that_the_solution_is_scipys(conditions, values, design):
     times = grid(3.0, 121)
     expected = Reference(conditions, **values).solve(*design, times.numpy())
     solution = PolytropicSimulator(conditions, FINE)(gel(**values), tensor(*design), times)
@@ -48,7 +45,7 @@ def test_that_the_solution_is_scipys(
     )
 
 
-def test_that_the_default_step_is_good_to_the_floor_of_the_noise() -> None:
+def test_that_the_default_step_is_good_to_the_floor_of_the_noise():
     """A tenth of a thousandth of Rmax, for both reference gels over designs: twenty times below the
     noise floor of .002.
     """
@@ -61,7 +58,7 @@ def test_that_the_default_step_is_good_to_the_floor_of_the_noise() -> None:
         assert float((coarse.radius - fine.radius).abs().max()) < 1e-4
 
 
-def test_that_named_steppings_are_ordered_by_their_error() -> None:
+def test_that_named_steppings_are_ordered_by_their_error():
     exact = PolytropicSimulator(stepping=Stepping(0.02, max_steps=100_000))(
         gel(**GEL), tensor(*DESIGN), grid()
     ).radius
@@ -83,7 +80,7 @@ def test_that_named_steppings_are_ordered_by_their_error() -> None:
 
 
 @pytest.mark.parametrize("design", [(1000.0, 0.3), (300.0, 0.2)])
-def test_that_halving_the_step_divides_the_error_by_sixteen(design: tuple[float, float]) -> None:
+def test_that_halving_the_step_divides_the_error_by_sixteen(design):
     def radius(step: float) -> Tensor:
         return PolytropicSimulator(stepping=Stepping(step, 10**6, retries=0))(
             gel(**GEL), tensor(*design), grid(2.0, 41)
@@ -100,7 +97,7 @@ def test_that_halving_the_step_divides_the_error_by_sixteen(design: tuple[float,
 
 
 @pytest.fixture(scope="module")
-def imrv2(shared: Path) -> tuple[dict, list[dict], dict[str, np.ndarray], dict[str, np.ndarray]]:
+def imrv2(shared):
     """Constants, cases, their curves and ours, of Keller-Miksis in pressures with polytropic gas."""
     path = shared / "reference" / "imrv2_suite_public.json"
     if not path.exists():
@@ -161,7 +158,7 @@ def relative(curve: np.ndarray, reference: np.ndarray) -> float:
     return float(np.linalg.norm(curve - reference) / np.linalg.norm(reference))
 
 
-def test_that_imrv2_curves_are_met_up_to_their_known_departure(imrv2) -> None:
+def test_that_imrv2_curves_are_met_up_to_their_known_departure(imrv2):
     """Their pressure rate counts the vapour as a gas; each case records what the textbook term
     makes of its curve.
     """
@@ -173,7 +170,7 @@ def test_that_imrv2_curves_are_met_up_to_their_known_departure(imrv2) -> None:
         ), case["id"]
 
 
-def test_that_imrv2_curves_are_met_exactly_with_their_departure_put_in(imrv2) -> None:
+def test_that_imrv2_curves_are_met_exactly_with_their_departure_put_in(imrv2):
     """Closes the ring:
 
     SciPy with their pressure rate is on their curves, SciPy without it is on ours.

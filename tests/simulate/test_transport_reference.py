@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from imr_torch.errors import UnsupportedError
+from imr_torch.float64 import tensor
 from imr_torch.simulate import PRESETS, Accuracy, Resolution, TransportSimulator
 
 CURVES = {"published": "estrada2018", "authors_code": "parity_spectral"}
@@ -35,7 +36,7 @@ def oracle(shared):
 
 def simulate(adapter, cases, times, key, accuracy):
     parameters = torch.stack([adapter.parameter_vector(case) for case in cases])
-    designs = torch.tensor([[case["We"], case["Rinf_star"]] for case in cases], dtype=torch.float64)
+    designs = tensor([[case["We"], case["Rinf_star"]] for case in cases])
     return TransportSimulator(PRESETS[key], accuracy)(
         parameters, designs, torch.as_tensor(times)
     ).radius.numpy()

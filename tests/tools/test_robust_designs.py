@@ -19,7 +19,6 @@ from tests.design.linear_camera import (
 
 BASE = Belief.prior({"nhkv": {"G": normal(0.3), "mu": normal(0.2)}})
 SEEN = "strain_stiffening"  # of the parameter alpha, which the camera sees
-UNSEEN = "stress_relaxation"
 
 
 def find_gain(estimator, designs=DESIGNS, belief=BASE):
@@ -56,33 +55,8 @@ def test_that_a_lacking_effect_costs_what_the_closed_form_says(count, known, unk
     assert found.variance**0.5 < 0.02
 
 
-def test_that_effects_share_the_probability_of_a_known_one_and_act_together_as_the_unknown():
-    none, whole = (
-        find_gain(Laplace(64)),
-        find_gain(RobustLaplace(64, effects=(SEEN,), known=0.0, unknown=1.0)),
-    )
-    lost = none.parameters - whole.parameters
-    assert lost > 0.05
-    for known, unknown, share in ((1.0, 0.0, 0.5), (0.0, 1.0, 1.0), (0.2, 0.4, 0.5)):
-        found = find_gain(RobustLaplace(64, effects=(SEEN, UNSEEN), known=known, unknown=unknown))
-        assert none.parameters - found.parameters == pytest.approx(share * lost, rel=1e-6)
-
-
 @pytest.mark.parametrize("belief", [BASE, correlated()])
 def test_that_without_effects_the_gain_is_the_ordinary_one(belief):
     assert find_gain(RobustLaplace(8, effects=()), belief=belief) == find_gain(
         Laplace(8), belief=belief
     )
-
-
-def test_that_the_part_about_the_model_is_the_ordinary_one():
-    belief = Belief.prior(
-        {
-            "nhkv": {"G": normal(0.1), "mu": normal(0.1)},
-            "gen_qkv": {"G": normal(0.1), "mu": normal(0.1), "alpha": normal(0.3)},
-        }
-    )
-    estimators = (RobustLaplace(16, effects=(SEEN,)), Laplace(16))
-    robust, usual = (find_gain(estimator, belief=belief) for estimator in estimators)
-    assert robust.model == usual.model
-    assert robust.parameters < usual.parameters
