@@ -26,7 +26,7 @@ import numpy as np
 import torch
 from torchdiffeq import odeint
 
-from imr_torch.float64 import linspace, ones, rand, tensor
+from imr_torch.float64 import linspace, rand, tensor
 from imr_torch.material import reference_case
 from imr_torch.simulate import (
     ACCURACIES,
@@ -37,7 +37,7 @@ from imr_torch.simulate import (
     TransportSimulator,
 )
 from imr_torch.simulate.bubbles import Bubbles
-from imr_torch.simulate.polytropic import head_of, rate_of
+from imr_torch.simulate.polytropic import head_of, rate_of, start_of
 from tests.simulate.scipy_reference import solve_by_scipy
 
 TIMES = linspace(0.0, 4.0, 81)
@@ -136,8 +136,6 @@ def plain_dopri5(count: int) -> Callable[[], Any]:
     """The same bubbles by torchdiffeq with one adaptive step for the whole batch."""
     parameters, designs = draws(count, "cpu")
     bubbles = Bubbles.of(parameters, designs, Conditions())
-    one = ones(count)
-    start = torch.stack((one, 0.0 * one, 0.0 * one))
 
     def rate(_: torch.Tensor, state: torch.Tensor) -> torch.Tensor:
         return rate_of(bubbles, head_of(bubbles, state), state)

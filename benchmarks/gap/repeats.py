@@ -27,7 +27,7 @@ from benchmarks.gap.verdicts import families, is_in_class, is_named, posterior_o
 from benchmarks.records import Figure, Line, read_record, run_missing_jobs, write_figures
 from imr_torch.errors import ConvergenceWarning
 from imr_torch.gap import diagnose
-from imr_torch.observe.sets import load_set
+from imr_torch.observe import load_set
 from imr_torch.random import child
 from imr_torch.simulate import ACCURACIES, TransportSimulator
 

@@ -27,7 +27,8 @@ from torch import Tensor
 from benchmarks.gap.sets import PHYSICS, SyntheticSet, Task, make_set
 from benchmarks.records import Line, read_record, run_missing_jobs, write_table
 from imr_torch.float64 import arange, tensor
-from imr_torch.gap.hypotheses import fit_null
+from imr_torch.gap.fits import fit_null
+from imr_torch.gap.hypotheses import Inquiry
 from imr_torch.material import LIBRARY, PARAMETERS, TERMS, dimensionless, gel_response, wide_prior
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator, fewer_steps

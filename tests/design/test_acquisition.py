@@ -2,9 +2,8 @@
 optimisers, targets.
 """
 
-import json
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import pytest
 import torch
@@ -12,7 +11,6 @@ from botorch.optim import optimize_acqf
 from botorch.utils.sampling import manual_seed
 
 from imr_torch.design import (
-    DesignOptimizer,
     ExpectedInformationGain,
     InformationEstimator,
     InformationGain,

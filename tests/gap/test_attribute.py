@@ -6,8 +6,9 @@ import pytest
 
 from imr_torch.assimilate import SearchOptions
 from imr_torch.gap.adequacy import adequacy_test
-from imr_torch.gap.attribute import Attribution, Inquiry, attribute, reconsider
-from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, laplace_evidence
+from imr_torch.gap.attribute import Attribution, attribute, reconsider
+from imr_torch.gap.fits import fit_hypotheses
+from imr_torch.gap.hypotheses import Hypothesis, Inquiry, laplace_evidence
 from imr_torch.material import LIBRARY
 from tests.gap.synthetic import BASE, SIMULATOR, fit, shoot
 

@@ -12,12 +12,11 @@ from imr_torch.assimilate import SearchOptions
 from imr_torch.errors import InputDataError
 from imr_torch.float64 import ones, tensor, zeros
 from imr_torch.gap import diagnose, library
-from imr_torch.gap.differing import fit_alone, fit_differing, gels_of
-from imr_torch.gap.hypotheses import (
-    Hypothesis,
+from imr_torch.gap.fits import (
     finish,
+    fit_alone,
+    fit_differing,
     fit_null,
-    start_apart,
 )
 from imr_torch.gap.hypotheses import (
     Hypothesis,
@@ -28,7 +27,7 @@ from imr_torch.gap.hypotheses import (
     scatters,
 )
 from imr_torch.material import LIBRARY, PARAMETERS
-from imr_torch.observe import Experiment, ExperimentBatch, Scatter, SimulatedLaboratory
+from imr_torch.observe import Experiment, ExperimentBatch, SimulatedLaboratory
 from imr_torch.population import GaussianShots, coordinate_units
 from imr_torch.population.closed_form import without_prior
 from tests.gap.synthetic import BASE
@@ -70,8 +69,8 @@ def apart(gels, null, alone):
 
 
 def test_that_a_scatter_of_gels_that_is_no_number_is_refused(gels):
-    with pytest.raises(InputDataError, match=r"Scatter\.relative is 0"):
-        Scatter(0.0)
+    with pytest.raises(InputDataError, match=r"between: the scatter of G is 0"):
+        ExperimentBatch(gels.experiments, between={"G": 0.0})
     with pytest.raises(InputDataError, match="no_such"):
         ExperimentBatch(gels.experiments, between={"no_such": 0.3})
 

@@ -6,8 +6,9 @@ import torch
 
 from imr_torch.assimilate import Posterior, SearchOptions
 from imr_torch.float64 import linspace, ones
-from imr_torch.gap import hypotheses
-from imr_torch.gap.hypotheses import Hypothesis, fit_hypotheses, fit_null
+from imr_torch.gap import fits
+from imr_torch.gap.fits import fit_hypotheses, fit_null
+from imr_torch.gap.hypotheses import Hypothesis, Inquiry
 from imr_torch.material import LIBRARY, PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, predict
 from imr_torch.random import generator

@@ -5,7 +5,7 @@ import torch
 
 from imr_torch.float64 import linspace
 from imr_torch.gap.adequacy import adequacy_test
-from imr_torch.gap.examine import _calibrate, onset, restrict
+from imr_torch.gap.examine import onset, restrict
 from imr_torch.goodness.linear import linearise_fit
 from imr_torch.goodness.phases import PHASES, phase_clock, phase_name
 from imr_torch.observe import Nuisance

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from imr_torch.float64 import full, linspace, ones, randn, tensor, zeros
-from imr_torch.gap.evidence import check_evidence
+from imr_torch.gap.adequacy import Adequacy
 from imr_torch.gap.hypotheses import Hypothesis, laplace_evidence
 from imr_torch.gap.lookalike import Likeness, likeness
 from imr_torch.gap.verdict import check_evidence

@@ -21,8 +21,11 @@ def matched():
 def test_that_the_budget_is_that_of_generalised_least_squares(matched):
     """Integrating over what may be missing is noise of covariance ``1 + s^2 B^T B``."""
     line = matched.left.line
-    rows = missing_rows(matched.left)
-    budget = error_budget(matched.null, line, rows, size=2.0)
+    system = missing_system(matched.left)
+    rows = system.unknown.mT
+    refit = system.solve(2.0)
+    fitted = line.fitted.shape[1]
+    root = refit.root[:fitted]
     covariance = eye(len(line.residual)) + 4.0 * rows.mT @ rows
     weighted = torch.linalg.solve(covariance, line.fitted)
     information = line.fitted.mT @ weighted

@@ -8,7 +8,7 @@ import pytest
 
 from imr_torch.assimilate import Assimilation, ModelFit, SearchOptions
 from imr_torch.gap import fits
-from imr_torch.gap.hypotheses import Hypothesis, Inquiry
+from imr_torch.gap.hypotheses import Inquiry
 from imr_torch.simulate import PolytropicSimulator
 from tests.gap.synthetic import BASE, DESIGNS, fit, shoot
 

@@ -9,8 +9,8 @@ import torch
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.float64 import full
-from imr_torch.gap import refitted
-from imr_torch.gap.refitted import refitted_directions
+from imr_torch.gap import adequacy
+from imr_torch.gap.adequacy import refitted_directions
 from imr_torch.goodness.linear import Linearisation, linearise_fit
 from imr_torch.goodness.score import effect_directions
 from imr_torch.material import LIBRARY, Effect

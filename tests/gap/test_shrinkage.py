@@ -134,9 +134,8 @@ def test_that_the_interval_covers_the_mean_over_curves():
     for _ in range(200):
         base = 5.0 + 10.0 * rand(8, generator=source)
         share = 0.6 + 0.3 * randn(8, generator=source)
-        rows = [torch.tensor([x]) for x in base]
-        left = [torch.tensor([x]) for x in base * (1.0 - share)]
-        low, middle, high = _interval(rows, left, source)
+        rows = torch.stack((base, base * (1.0 - share)), 1)[..., None]
+        low, middle, high = _interval(rows, source)
         assert low <= middle <= high
         inside += low <= 0.6 <= high
     assert 0.83 <= inside / 200 <= 0.95
@@ -178,7 +177,7 @@ def test_that_a_quiet_phase_takes_nothing_from_the_gap():
     gaps = []
     for seed in range(12):
         judged = pair(0.0, 0, seed)
-        phase = _compared(judged).phase
+        phase = judged.phase
         noise = randn(90, generator=torch.Generator().manual_seed(seed))
         residual = torch.where(phase < 2, noise + 1.0, 0.1 * noise)
         loud = replace(judged.base, residual=residual)

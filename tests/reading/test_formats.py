@@ -15,7 +15,7 @@ import torch
 from imr_torch.errors import InputDataError, UnsupportedError
 from imr_torch.float64 import arange, tensor
 from imr_torch.observe import Layout, find_files, find_landmarks, load_traces
-from imr_torch.reading.readers import read_arrays
+from imr_torch.reading.content import read_arrays
 
 RADII = [254.5 - 3.25 * i for i in range(8)]
 
@@ -304,7 +304,7 @@ def header(shape: tuple[int, ...], kind: str = "<f8") -> bytes:
 
 
 def test_that_a_zip_bomb_is_not_unpacked(tmp_path, monkeypatch):
-    monkeypatch.setattr("imr_torch.reading.readers.LARGEST", 20 << 20)
+    monkeypatch.setattr("imr_torch.reading.content.LARGEST", 20 << 20)
     with (
         zipfile.ZipFile(
             tmp_path / "bad.npz", "w", zipfile.ZIP_DEFLATED, compresslevel=1

@@ -25,7 +25,6 @@ from imr_torch.simulate import (
     TransportSimulator,
 )
 from imr_torch.simulate.bubbles import Bubbles
-from imr_torch.simulate.controller import scaled_error, step_factor
 from imr_torch.simulate.engines import ENGINES
 from imr_torch.simulate.rhs import HEAD, Equations
 from imr_torch.simulate.rosenbrock import rosenbrock_step, scaled_error, step_factor
