@@ -50,12 +50,12 @@ def test_that_stage_step_and_time_left_are_said():
     made(iteration(2))
     assert (
         made.describe_state()
-        == "characterize, stage 2 of 6, 0:20, 8 %, about 3:49 left: fit with the estimated noise (round 1 of 2), iteration 2"
+        == "characterize, stage 2 of 6, 0:20, 10 %, about 3:02 left: fit with the estimated noise (round 1 of 2), iteration 2"
     )
     clock.now = 25.0
-    assert "about 3:44 left" in made.describe_state()  # less, though nothing was counted meanwhile
+    assert "about 2:57 left" in made.describe_state()  # less, though nothing was counted meanwhile
     clock.now = 60.0  # longer than planned: the stages that follow will be too
-    assert "about 5:02 left" in made.describe_state()
+    assert "about 4:37 left" in made.describe_state()
     made(stage("noise", "noise 0.06 x the published law"))
     made(stage("fit test", "fit test: does the model explain the curves?"))
     assert "stage 5 of 6, " in made.describe_state()

@@ -46,11 +46,11 @@ def characterize_stages(
     ['fit of all models', 'fit with the estimated noise', 'posterior draws', 'fit test']
     """
     # shares measured on the example gel and on PA1 and S2 of RESULTS, alone and as populations
-    stages = [Stage("fit of all models", 0.75)]
+    stages = [Stage("fit of all models", 1.0)]
     for number in range(1, noise_rounds + 1):
         again = f" (round {number} of {noise_rounds})" if noise_rounds > 1 else ""
         stages.append(Stage(f"fit with the estimated noise{again}", 0.8, "noise"))
-    stages.append(Stage("posterior draws", 5.0, "draws"))
+    stages.append(Stage("posterior draws", 6.0, "draws"))
     stages.append(Stage("fit test", 0.5, "fit test"))
     if gels:
         stages.append(Stage("simulated gels like this one", 2.0 * gels, "simulated gels"))
@@ -58,7 +58,7 @@ def characterize_stages(
         stages.append(Stage("each shot by itself", 5.0, "shots"))
         stages.append(Stage("the population", 1.0, "population"))
     if figures:
-        stages.append(Stage("figures", 1.5, "figures"))
+        stages.append(Stage("figures", 1.0, "figures"))
     return tuple(stages)
 
 
