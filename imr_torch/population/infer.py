@@ -115,7 +115,8 @@ def fit_shots(
     options = options or SearchOptions(starts=2)
     current = None
     fits = []
-    steps = (rounds + 2) * len(labels)  # fits of every round, then draws
+    draws = 5  # which take as long as so many fits
+    steps = (rounds + 1 + draws) * len(labels)
 
     def report_shot(what: str, label: str, done: int, state: str) -> None:
         if progress:
@@ -145,7 +146,7 @@ def fit_shots(
     weighted = []
     for fit, label in zip(fits, labels, strict=True):
         weighted.append(weigh(fit, simulator, seed=child(seed, "weigh", label), samples=samples))
-        done = steps - len(labels) + len(weighted)
+        done = steps - draws * (len(labels) - len(weighted))
         report_shot("draws", label, done, weighted[-1].fits[0].trust)
     return tuple(weighted)
 
