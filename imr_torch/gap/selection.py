@@ -236,11 +236,10 @@ def fit_with_noise(
         inquiry = replace(inquiry, batch=noise.applied(inquiry.batch))
         if inquiry.progress:
             inquiry.progress(f"noise {inquiry.batch.noise}")
-        own = child(seed, number)
         if held.parts:
-            fit = finish(inquiry, fit, held, seed=own)
+            fit = finish(inquiry, fit, held, seed=child(seed, number))
         else:
-            fit = fit_null(inquiry, seed=own, near=fit)
+            fit = fit_null(inquiry, seed=child(seed, number), near=fit)
     return fit, inquiry
 
 
