@@ -10,9 +10,8 @@ their own, which are
   result: writes of half the bytes, flushes, renames, truncations, removals;
 - given a full disk from every write on, or at one flush.
 The command is then repeated as a user would: the same line with --resume, and without --tell if the
-    answer is that the curve is
-known. The journal must be that of the uninterrupted command, and no temporary file may be left.
-Polytropic gas, small searches, no figures.
+answer is that the curve is known. The journal must be that of the uninterrupted command, and no
+temporary file may be left. Polytropic gas, small searches, no figures.
 """
 
 import argparse

@@ -1,5 +1,6 @@
 """The command line as a user meets it: results, JSON, figures, and messages that say what to do."""
 
+import functools
 import json
 import re
 import shutil
@@ -18,7 +19,7 @@ from imr_torch.float64 import arange, randn, tensor
 from imr_torch.material import PARAMETERS, wide_prior
 from imr_torch.observe import Nuisance
 from imr_torch.results import draw_figures
-from imr_torch.simulate import PolytropicSimulator
+from imr_torch.simulate import PolytropicSimulator, Status, explain_growth
 from tests.journals import cut
 
 EXAMPLE = example_gel()
@@ -78,6 +79,15 @@ def test_that_a_result_says_with_which_equation_and_liquid_it_was_made(tmp_path,
     ]
     assert len(set(ends.values())) == 3
     assert "A change of" not in capsys.readouterr().out
+
+
+def test_that_an_ill_conditioned_bubble_says_so(monkeypatch, capsys):
+    """Bubbles in which a change grows a thousandfold are driven for long; here the limit is lower."""
+    low = functools.partial(explain_growth, limit=1.0)
+    monkeypatch.setattr("imr_torch.cli.simulate.explain_growth", low)
+    bubble = "simulate --set G=8310,mu=0.093 --physics polytropic --frames 41"
+    assert main(bubble.split()) == 0
+    assert Status.ILL_CONDITIONED.sentence in capsys.readouterr().out
 
 
 def test_simulate_writes_the_curve_and_a_figure(rendered, tmp_path, capsys):

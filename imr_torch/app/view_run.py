@@ -103,7 +103,8 @@ class RunView:
             kept = values[key] if many else [values[key]]
             choices |= {value: value for value in kept if composed and value not in choices}
             if key == "belief" and values[key] is None:
-                values[key] = [*choices, ""][1]  # the latest result, if there is one
+                # the latest result, if there is one
+                values[key] = next((choice for choice in choices if choice), "")
             elif many:
                 values[key] = [value for value in values[key] if value in choices]
             elif values[key] not in choices:
@@ -147,7 +148,9 @@ class RunView:
                 return LIBRARY
             case "campaigns":
                 return [result.name for result in results if result.name.endswith("_campaign")]
-        return [r.name for r in results if (r.folder / "characterize.json").is_file()]
+            case "characterizations":
+                return [r.name for r in results if (r.folder / "characterize.json").is_file()]
+        raise ValueError(f"forms.toml: nothing is listed for {kind!r}")
 
     @ui.refreshable_method
     def _draw_command(self) -> None:

@@ -1,5 +1,5 @@
-"""The gap test at a fit that includes effects: what is left unexplained there, and in which
-directions it was looked for.
+"""The gap test at a fit that includes effects: what is left unexplained there, in which directions
+it was looked for, and what remains of each effect beside a refit of the gel.
 
 A refit of the gel compensates most of what an effect does, since it shifts the collapses back.
 Projecting the fitted directions off a change of tens of standard deviations compensates to first
@@ -36,10 +36,10 @@ from imr_torch.simulate import Simulator
 from imr_torch.types import Directions
 
 _ROUNDS = 2
-_FARTHEST_GEL, _FARTHEST_NUISANCE = (
-    1.0,
-    15.0,
-)  # prior sd of a move: farther gels cost much and are uninformative
+_FARTHEST_GEL = 1.0
+"""Prior standard deviations of a move of the gel: farther gels cost much and are uninformative."""
+_FARTHEST_NUISANCE = 15.0
+"""The same of a nuisance."""
 
 
 @dataclass(frozen=True)

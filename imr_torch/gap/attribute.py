@@ -278,8 +278,9 @@ def _average_probabilities(
     fits: Mapping[str, ModelFit],
     evidence: Mapping[str, float],
     *,
+    bayes_factor: float,
+    masked: float,
     smooth: SmoothDeviations | None,
-    **about: float,
 ) -> dict[str, float]:
     """Probabilities of all causes, averaged over what is known of the scale of the noise."""
     kinds = {effect.name: effect.family for effect in inquiry.effects}
@@ -294,9 +295,16 @@ def _average_probabilities(
         scaled = {name: value + share * squares[name] for name, value in evidence.items()}
         base = evidence[held.name] + share * min(squares.values())
         deviations = smooth and (base + smooth.own, base + smooth.common)
-        beside = bool(held.parts)
         each.append(
-            probabilities(scaled, families, held.name, beside=beside, smooth=deviations, **about)
+            probabilities(
+                scaled,
+                families,
+                held.name,
+                bayes_factor,
+                beside=bool(held.parts),
+                masked=masked,
+                smooth=deviations,
+            )
         )
     return {name: sum(one[name] for one in each) / len(each) for name in each[0]}
 
@@ -311,10 +319,10 @@ def _find_winner(
     sampled: Collection[str],
     seed: int,
 ) -> str:
-    """Continue the fit of the leader until the leader's has converged.
+    """The name of the leader, once the leader's fit was continued until it has converged.
 
-    One that does not converge loses its evidence and is left out; evidence that was ``sampled`` is
-    kept.
+    Changes ``fits``, ``evidence`` and ``left_out`` in place: a leader that does not converge loses
+    its evidence and is left out; evidence that was ``sampled`` is kept.
     """
     continued = set[str]()
     while True:

@@ -62,9 +62,8 @@ def fit_null(inquiry: Inquiry, *, seed: int, near: ModelFit | None = None) -> Mo
         progress=inquiry.progress,
     )
     if near is not None:
-        moved = search(seed=seed, options=options, near=as_assimilation(near, inquiry.batch)).fits[
-            0
-        ]
+        begin = as_assimilation(near, inquiry.batch)
+        moved = search(seed=seed, options=options, near=begin).fits[0]
         if moved.certificate.converged:
             return moved
     fit = search(seed=seed, options=options).fits[0]

@@ -122,7 +122,7 @@ def medium_sensitivities(
     found = []
     for name, sigma, relative in zip(names, sigmas.tolist(), changes.tolist(), strict=True):
         own = fit.prior.names
-        gel = map(own.index, fit.prior.of_gel)
+        gel = [own.index(parameter) for parameter in fit.prior.of_gel]
         matters = [i for i in gel if abs(sigma[i]) > MATTERS and math.isfinite(sigma[i])]
         if matters:
             found.append(

@@ -1,4 +1,5 @@
-"""Parameters with model error: intervals that hold where the model lacks something.
+"""Parameters with model error: intervals that hold where the model lacks something, and how much of
+each effect would hide in these data.
 
 Under a gap the interval of a fit is that of the wrong model. Quoted is the mixture over all
 hypotheses that the data do not rule out, an unknown one included. The unknown is an error budget:

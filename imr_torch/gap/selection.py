@@ -13,7 +13,6 @@ selected beside slow noise of each shot's own, of an amount that is as unknown b
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from operator import itemgetter
 
 import torch
@@ -137,13 +136,13 @@ def _select_within_misfit(
     noise: slow noise of each shot's own, or else larger noise in all frames alike.
     """
     held = Hypothesis(inquiry.base)
-    fit, within = fit_with_noise(inquiry, held, null, of_misfit=True, seed=child(seed, "misfit"))
-    own_fit = fit
-    left = within.test(fit, held, seed=seed)
+    fit, widened = fit_with_noise(inquiry, held, null, of_misfit=True, seed=child(seed, "misfit"))
+    first_fit = fit
+    left = widened.test(fit, held, seed=seed)
     steps: list[Attribution] = []
     while len(held.parts) < inquiry.most and inquiry.longer(held):
         own = child(seed, "misfit", len(held.parts))
-        found = attribute(within, fit, held, before=left, seed=own)
+        found = attribute(widened, fit, held, before=left, seed=own)
         beside = [step for step in finding.steps if step.held.name == held.name]
         step, explained = weigh_beside_slow([found, *beside], inquiry.batch, inquiry.simulator)
         steps.append(step)
@@ -153,20 +152,20 @@ def _select_within_misfit(
             if found.explained[name] < EXPLAINS:
                 break
         held = step.hypotheses[name]
-        fit, within = fit_with_noise(inquiry, held, step.fits[name], of_misfit=True, seed=own)
-        left = within.test(fit, held, seed=own)
-    base = own_fit
+        fit, widened = fit_with_noise(inquiry, held, step.fits[name], of_misfit=True, seed=own)
+        left = widened.test(fit, held, seed=own)
+    base = first_fit
     if held.parts:
         near = steps[0].fits[NONE]
-        base = fit_null(replace(within, progress=None), seed=seed, near=near)
-        left = within.test(base, Hypothesis(inquiry.base), seed=seed)
+        base = fit_null(replace(widened, progress=None), seed=seed, near=near)
+        left = widened.test(base, Hypothesis(inquiry.base), seed=seed)
     nearest = " and ".join(map(in_words, held.parts))
     explained = f"{nearest} explains some of it" if nearest else "none explains any of it"
     return replace(
         finding,
         selected=held,
         selected_fit=fit,
-        within_misfit=WithinMisfit(own_fit, within.batch, base, left, tuple(steps)),
+        within_misfit=WithinMisfit(first_fit, widened.batch, base, left, tuple(steps)),
         reason="No effect of the library is enough; where all that is left counts as noise, "
         f"{explained}.",
     )
@@ -226,7 +225,7 @@ def fit_with_noise(
     of_misfit: bool = False,
     seed: int,
 ) -> tuple[ModelFit, Inquiry]:
-    """The fit of a hypothesis under the noise that is inferred about it, and the data with that
+    """The fit of a hypothesis under the noise that is inferred about it, and the inquiry with that
     noise: of single frames, or of all that the fit leaves.
     """
     for number in range(_NOISE_ROUNDS):
@@ -237,10 +236,10 @@ def fit_with_noise(
         inquiry = replace(inquiry, batch=noise.applied(inquiry.batch))
         if inquiry.progress:
             inquiry.progress(f"noise {inquiry.batch.noise}")
-        again = partial(finish, inquiry, fit, held)
-        if not held.parts:
-            again = partial(fit_null, inquiry, near=fit)
-        fit = again(seed=child(seed, number))
+        if held.parts:
+            fit = finish(inquiry, fit, held, seed=child(seed, number))
+        else:
+            fit = fit_null(inquiry, seed=child(seed, number), near=fit)
     return fit, inquiry
 
 

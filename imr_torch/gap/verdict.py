@@ -1,4 +1,5 @@
-"""From evidence to probabilities of causes, and from these to a verdict by a stated loss.
+"""Evidence of the leading hypotheses by importance sampling, probabilities of causes from evidence,
+and the verdict from these by a stated loss.
 
 The evidence of every effect is that of the Gaussian approximation. Those of the leading effects,
 where they are near each other, are computed again by importance sampling
@@ -45,10 +46,10 @@ NEAR = 5.0
 
 _MOST = 4  # hypotheses whose evidence is computed again
 _SAMPLES = 48
-_HEAVY, _UNCERTAIN = (
-    0.7,
-    0.5,
-)  # tail of the weights, and standard error in nats, from which on an evidence is not used
+_HEAVY = 0.7
+"""Shape of the tail of the weights from which on an evidence is not used."""
+_UNCERTAIN = 0.5
+"""Standard error, nats, from which on an evidence is not used."""
 
 
 @dataclass(frozen=True)

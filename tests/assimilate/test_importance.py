@@ -16,7 +16,7 @@ from imr_torch.assimilate.importance import (
 )
 from imr_torch.assimilate.proposals import Kernels
 from imr_torch.characterization.result import SENSITIVE
-from imr_torch.float64 import arange, linspace, randn, zeros
+from imr_torch.float64 import arange, linspace, rand, randn, zeros
 from imr_torch.random import generator
 from tests.curved import mean_error, sd_error
 from tests.linear import tensor
@@ -32,6 +32,14 @@ def test_that_kernels_on_a_single_heavy_point_still_have_a_shape_and_reach_out()
     proposal = Kernels.through_draws(points, log_weights)
     assert float(effective_size(proposal.weights[:-1])) == pytest.approx(30.0, rel=0.01)
     assert float(proposal.chol.diagonal().min()) > 1.0
+
+
+@pytest.mark.parametrize("shape", [0.2, 0.5, 0.8, 1.2])
+def test_that_the_shape_of_a_pareto_tail_is_found(shape):
+    """Generalised Pareto weights; 40 000 of them leave an error of some (1 + k)/sqrt(600)."""
+    weights = 1.0 + (rand(40_000, generator=generator(5)).pow(-shape) - 1.0) / shape
+    error = (1.0 + shape) / math.sqrt(600.0)
+    assert smooth_tail(weights.log())[1] == pytest.approx(shape, abs=3.0 * error)
 
 
 @pytest.mark.parametrize("count", [1, 24])

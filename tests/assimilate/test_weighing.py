@@ -11,12 +11,14 @@ from torch.testing import assert_close
 
 from imr_torch.assimilate import (
     Assimilation,
+    Posterior,
     SearchOptions,
     Verdict,
     WeighingOptions,
     assimilate,
     weigh,
 )
+from imr_torch.assimilate.refit import find_lower_draw
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.float64 import ones
 from imr_torch.observe import ExperimentBatch
@@ -153,6 +155,14 @@ def test_that_quantiles_of_a_curved_posterior_are_those_of_its_draws_and_not_of_
         controls = marginal.to_control(fit.posterior.quantile(levels)[:, column])
         found = (controls - fit.prior.mean[column]) / fit.prior.chol[column, column]
         assert [truth.below(column, float(x)) for x in found] == pytest.approx(levels, abs=0.03)
+
+
+def test_that_the_draws_of_a_model_do_not_depend_on_company():
+    both = fitted(experiments(2, nuisance=BOTH), models=("newtonian", "nhkv"))
+    together = weigh(both, LinearSimulator(), seed=0)["nhkv"].sample
+    (alone,) = weigh(replace(both, fits=(both["nhkv"],)), LinearSimulator(), seed=0).fits
+    for name in ("controls", "by_experiment", "nuisances"):
+        assert_close(getattr(alone.sample, name), getattr(together, name))
 
 
 def test_that_failed_draws_weigh_nothing_and_all_failed_is_an_error(simple):
@@ -303,6 +313,18 @@ def test_that_it_stays_where_that_is_not_asked_for(right):
         weigh(wrong, LinearSimulator(), seed=0, options=WeighingOptions(refits=0)).fits[0].cost
         == wrong.fits[0].cost
     )
+
+
+@pytest.mark.parametrize(
+    ("away", "behind", "found"), [(0.0, 0.0, False), (4.0, 0.0, True), (4.0, 200.0, False)]
+)
+def test_that_a_draw_is_lower_only_in_another_basin_and_of_a_model_that_may_matter(
+    right, away, behind, found
+):
+    options = WeighingOptions(refits=0)
+    fit = weigh(ended_too_high(right, away), LinearSimulator(), seed=0, options=options).fits[0]
+    posterior = Posterior(fit.prior, right.batch, LinearSimulator())
+    assert (find_lower_draw(fit, fit.cost - behind, posterior, options) is not None) is found
 
 
 def test_that_a_fit_that_only_looks_too_high_is_not_made_again(right):

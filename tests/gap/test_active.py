@@ -3,6 +3,7 @@ as if nothing had happened.
 """
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -116,6 +117,15 @@ def test_that_several_models_or_designs_at_once_are_refused(tmp_path):
     )
     with pytest.raises(InputDataError, match="holds 2"):
         both.tell(shoot({})(tensor([400.0, 0.2]), 1))
+
+
+def test_that_settings_are_checked():
+    with pytest.raises(InputDataError, match="most is 0"):
+        CauseLearner(most=0)
+    with pytest.raises(InputDataError, match="1 designs"):
+        replace(TellCausesApart(CauseLearner()), designs=1)
+    with pytest.raises(InputDataError, match="nonsense"):
+        CauseLearner(("nonsense",))
 
 
 def test_that_the_command_looks_for_a_hidden_cause(tmp_path):

@@ -2,6 +2,8 @@
 effect that is enough alone.
 """
 
+from dataclasses import replace
+
 import pytest
 
 from imr_torch.assimilate import SearchOptions
@@ -39,6 +41,26 @@ def test_that_a_winner_whose_fit_was_cut_short_is_fitted_to_the_end(monkeypatch)
     assert found.fits["gas_loss"].certificate.converged
     assert not found.fits["surface_tension"].certificate.converged
     assert found.log_evidence["gas_loss"] == pytest.approx(laplace_evidence(found.fits["gas_loss"]))
+
+
+def test_that_a_fit_that_does_not_converge_is_left_out_and_the_next_one_leads(monkeypatch):
+    batch = shoot({"gas_loss": 0.2})
+    null = fit(batch)
+
+    def never(inquiry, found, *_, **__):
+        converged = "gas_loss" not in found.prior.names
+        loose = replace(found.certificate, converged=converged, gradient=1.0)
+        return replace(found, certificate=loose)
+
+    monkeypatch.setattr("imr_torch.gap.attribute._FIT", SearchOptions(starts=2, iterations=1))
+    monkeypatch.setattr("imr_torch.gap.attribute.finish", never)
+    inquiry = Inquiry(BASE, batch, SIMULATOR, (LIBRARY["gas_loss"], LIBRARY["wall"]))
+    before = adequacy_test(null, inquiry.effects, batch, SIMULATOR, seed=1)
+    found = attribute(inquiry, null, Hypothesis(BASE), before=before, seed=0)
+    assert found.left_out == ("gas_loss",)
+    assert found.winner.name == "wall"
+    assert "gas_loss" not in found.posterior
+    assert sum(found.posterior.values()) == pytest.approx(1.0)
 
 
 def test_that_an_effect_found_beside_a_wrong_one_is_taken_alone_if_it_explains_more():

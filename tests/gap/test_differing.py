@@ -3,12 +3,13 @@ cause of the diagnosis.
 """
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 
 from imr_torch import PolytropicSimulator
-from imr_torch.assimilate import SearchOptions
+from imr_torch.assimilate import Point, Posterior, SearchOptions
 from imr_torch.errors import InputDataError
 from imr_torch.float64 import ones, tensor, zeros
 from imr_torch.gap import diagnose, library
@@ -17,6 +18,7 @@ from imr_torch.gap.fits import (
     fit_alone,
     fit_differing,
     fit_null,
+    start_apart,
 )
 from imr_torch.gap.hypotheses import (
     Hypothesis,
@@ -122,6 +124,18 @@ def test_that_repeats_of_a_design_cannot_say_whether_gels_differ(gels):
     assert may_differ(gels)
     assert not may_differ(ExperimentBatch((gels.experiments[0], repeated)))
     assert not may_differ(ExperimentBatch(gels.experiments[:1]))
+
+
+def test_that_a_start_from_single_curves_sees_what_they_see_and_keeps_the_effect(gels, null, alone):
+    start = start_apart(DIFFER, null, alone)
+    posterior = Posterior(BASE, DIFFER.seen(gels), SIMULATOR)
+    seen = posterior.predict(Point(start.mean, start.nuisances))
+    for row, fit in zip(seen, alone, strict=True):
+        assert torch.allclose(row[: fit.prediction.shape[1]], fit.prediction[0], atol=1e-3)
+    gas_loss = Hypothesis(BASE, (LIBRARY["gas_loss"],))
+    held = replace(null, prior=gas_loss.belief, mean=torch.cat((null.mean, tensor([0.3]))))
+    moved = start_apart(gas_loss.differing(), held, alone)
+    assert moved.mean.tolist() == [*start.mean.tolist(), 0.3]
 
 
 def test_that_gels_that_differ_are_named_and_nothing_is_left(gels):

@@ -125,6 +125,17 @@ def test_that_whitening_makes_the_noise_of_the_mean_standard(noise):
         )
 
 
+@ALL
+def test_that_what_is_in_the_padding_does_not_count(noise):
+    batch = ExperimentBatch(shots(), noise)
+    predicted = prediction()
+    moved = torch.where(batch.mask, predicted, 1e3 * predicted)
+    assert torch.equal(batch.log_likelihood(predicted), batch.log_likelihood(moved))
+    sd = batch.sd(predicted)
+    assert bool((sd[~batch.mask] == 1.0).all())
+    assert bool((batch.whiten(moved, sd)[~batch.mask] == 0.0).all())
+
+
 def test_that_a_failed_prediction_is_impossible_and_its_neighbours_are_not_disturbed():
     batch = ExperimentBatch(shots())
     predicted = prediction(2)

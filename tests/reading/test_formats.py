@@ -303,6 +303,22 @@ def header(shape: tuple[int, ...], kind: str = "<f8") -> bytes:
     return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text.encode()
 
 
+@pytest.mark.parametrize(
+    ("member", "reason"),
+    [
+        (header((2,), "|O") + bytes(16), "Object arrays cannot be loaded"),
+        (header((2,)).replace(b"False", b"print"), "malformed node"),
+    ],
+    ids=["objects", "code"],
+)
+def test_that_objects_and_code_in_an_npz_file_are_refused(tmp_path, member, reason):
+    with zipfile.ZipFile(tmp_path / "bad.npz", "w") as archive:
+        for name in ("time_s.npy", "radius_m.npy"):
+            archive.writestr(name, member)
+    with pytest.raises(InputDataError, match=rf"as \.npz arrays of numbers \(.*{reason}"):
+        load_traces(tmp_path / "bad.npz")
+
+
 def test_that_a_zip_bomb_is_not_unpacked(tmp_path, monkeypatch):
     monkeypatch.setattr("imr_torch.reading.content.LARGEST", 20 << 20)
     with (

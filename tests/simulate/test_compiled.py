@@ -218,6 +218,35 @@ def test_that_bundles_are_the_same_and_leaders_as_without_followers(kind, model)
     assert float((damaged.radius[:, 2] - ours.radius[:, 2]).abs().max()) > 1e-6
 
 
+def followers(gels: Tensor, width: int) -> Tensor:
+    """Gels and others that differ from them by some tenths of a percent in every parameter."""
+    return gels[..., None, :] * (1.0 + 1e-3 * arange(width)[:, None])
+
+
+@SIMULATORS
+def test_that_a_follower_is_the_same_in_a_bundle_of_any_size_bit_for_bit(kind):
+    """By every law; many followers are integrated eight at a time, few one by one."""
+    bundles = followers(torch.stack(list(gels_of_the_registries().values())), 15)
+    simulator = kind(**coarse(kind))
+    whole = simulator.bundle(bundles, DESIGNS[0], TIMES)
+    assert bool(torch.isfinite(whole.radius).all())
+    for members in ([0, 3], [0, 14, 1, 2, 3, 4], [0, *range(9, 0, -1)]):
+        part = simulator.bundle(bundles[:, members], DESIGNS[0], TIMES)
+        for name in ("radius", "velocity", "bubble_pressure"):
+            assert torch.equal(getattr(part, name), getattr(whole, name)[:, members])
+
+
+@SIMULATORS
+def test_that_a_follower_that_fails_disturbs_no_other(kind):
+    bundle = followers(gel(G=4e3, mu=0.08), 8)
+    good = kind().bundle(bundle, DESIGNS[0], TIMES).radius
+    bundle[3, PARAMETERS.index(["G"])] = 1e200
+    failed = kind().bundle(bundle, DESIGNS[0], TIMES).radius
+    assert not torch.isfinite(failed[3]).all()
+    others = [k for k in range(8) if k != 3]
+    assert torch.equal(failed[others], good[others])
+
+
 FAILURES = [
     (
         TransportSimulator,
