@@ -292,10 +292,11 @@ def identifiability(
         (False, True): Bound.ABOVE,
         (False, False): Bound.NEITHER,
     }
-    columns = torch.stack((*falls, *posterior.quantile([0.05, 0.95])), 1).tolist()
+    falls = torch.stack(falls, 1).tolist()
+    limits = posterior.quantile([0.05, 0.95]).T.tolist()
     found = []
-    for name, (falls_below, falls_above, least, most) in zip(prior.names, columns, strict=True):
-        bound = kinds[falls_below, falls_above]
+    for name, sides, (least, most) in zip(prior.names, falls, limits, strict=True):
+        bound = kinds[tuple(sides)]
         limit = {Bound.BELOW: least, Bound.ABOVE: most}.get(bound)
         found.append(Identifiability(PARAMETERS[name], bound, limit))
     return tuple(found)

@@ -1,10 +1,11 @@
-"""Threads of tensor operators, which are one where tensors are small, and pools of processes for work
-that holds many solves: fits of many files, studies of campaigns.
+"""One thread for operators on small tensors, and pools of processes for work that holds many solves.
 
 Fits, designs and campaigns work on tensors of some hundred numbers. PyTorch shares even these among
 all cores, which gains nothing on an idle machine and costs tens of times the work where other
 programs use the cores as well. The bubble solver has threads of its own (``threads=`` of the
 simulators), which this does not touch.
+
+Pools serve fits of many files and studies of campaigns.
 """
 
 import os

@@ -116,7 +116,7 @@ class _Basins:
         """
         options = BasinOptions()
         movable = posterior.batch.nuisance_sds[:, _TIME_ZERO] > 0.0
-        if not bool(movable.any()):
+        if not bool(movable.any()):  # no experiment has an uncertain time zero
             nowhere = point.nuisances[:, None, :0]
             return cls(torch.arange(0), nowhere, nowhere[..., 0], nowhere[:, 0, :, 0])
         before = _nuisance_cost(posterior, point)

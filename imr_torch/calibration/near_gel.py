@@ -61,7 +61,7 @@ class NearGelCheck:
 
     @property
     def places(self) -> dict[str, list[float]]:
-        """Parameter -> the same of all of these gels."""
+        """Parameter -> where its true values lie in the posteriors of the gels that were inferred."""
         names = self.inferred[0] if self.inferred else ()
         return {name: [place[name] for place in self.inferred] for name in names}
 
@@ -178,10 +178,10 @@ def check_near_gel(
     start = Noise() if inferred else fits.batch.noise
     arrangement = Arrangement(
         Belief((fits.prior[model],), zeros(1)),
-        (),
-        Plan(noise=start),
-        samples,
-        options or SearchOptions(),
+        designs=(),
+        plan=Plan(noise=start),
+        samples=samples,
+        options=options or SearchOptions(),
         noise_rounds=NOISE_ROUNDS if inferred else 0,
     )
     found = []

@@ -113,11 +113,11 @@ class Ask:
         rows = self.event["evaluations"]
         before = self.event["pending"]
         return finish_search(
-            # old versions wrote more of the search
+            # other entries of a journal's search are ignored
             DesignOptimizer(space, seed=search["seed"], initial=search["initial"]),
             tensor([row["design"] for row in rows]),
             [InformationGain.from_dict(row) for row in rows],
-            before and InformationGain.from_dict(before),
+            InformationGain.from_dict(before) if before else None,
         )
 
 
@@ -134,11 +134,12 @@ def describe_proposal(proposal: Proposal) -> Document:
         "evaluations": [],
     }
     if search := proposal.search:
+        pending = search.pending
         tried = zip(search.gains, search.designs.tolist(), strict=True)
         evaluations = [asdict(gain) | {"design": design} for gain, design in tried]
         document |= {
             "search": {"seed": search.optimizer.seed, "initial": search.optimizer.initial},
-            "pending": search.pending and without_nonfinite(asdict(search.pending))[0],
+            "pending": without_nonfinite(asdict(pending))[0] if pending else None,
             "evaluations": without_nonfinite(evaluations)[0],
         }
     return document
@@ -149,8 +150,8 @@ def describe_inference(inference: Inference) -> Document:
     return {
         "belief": inference.belief.to_dict(),
         "evidence": without_nonfinite([asdict(e) for e in inference.evidence])[0],
-        "noise": inference.noise and vars(inference.noise),
-        "finding": inference.finding and asdict(inference.finding),
+        "noise": vars(inference.noise) if inference.noise else None,
+        "finding": asdict(inference.finding) if inference.finding else None,
         **inference.record,
     }
 

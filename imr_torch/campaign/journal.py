@@ -246,8 +246,10 @@ class Journal:
 
     def find_event(self, event: str, step: int | None = None) -> Document | None:
         """The last event of a kind (and step), or None."""
-        of_kind = (entry for entry in reversed(self.events) if entry["event"] == event)
-        return next((entry for entry in of_kind if step in (None, entry.get("step"))), None)
+        for entry in reversed(self.events):
+            if entry["event"] == event and (step is None or entry.get("step") == step):
+                return entry
+        return None
 
     def store_curves(self, experiment: Experiment, name: str) -> Document:
         """Write an experiment's curves beside the journal.

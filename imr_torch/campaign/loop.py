@@ -162,7 +162,7 @@ class Campaign:
         """
         if self.settings.stop is None:
             return None
-        gain = proposal and proposal.gain
+        gain = proposal.gain if proposal else None
         return self.settings.stop.find_reason(
             CampaignState(
                 self.belief, tuple(self.experiments), gain, self.forgotten, self.now.finding
@@ -258,7 +258,7 @@ class Campaign:
         None where there was none.
         """
         known = self._history.standing_ask(number)
-        return known and known.rebuild_search(self.settings.space)
+        return known.rebuild_search(self.settings.space) if known else None
 
     @one_torch_thread()
     def tell(self, *experiments: Experiment, progress: Progress = None) -> Step:

@@ -69,7 +69,7 @@ class InformationGain:
     def from_dict(cls, values: Mapping[str, Any]) -> "InformationGain":
         """Inverse of ``dataclasses.asdict``, after JSON.
 
-        What else is there, as the design, or the ``bias`` that old versions wrote, is left out.
+        Other entries, such as the design beside it in a journal, are ignored.
         """
         known = {own.name: values[own.name] for own in fields(cls)}
         known["influence"] = tuple((a, b) for a, b in values["influence"])

@@ -242,7 +242,7 @@ DEPARTURES = (
     StressTerm(graded, switch="graded_modulus"),
     StressTerm(stretched, switch="permanent_set"),
 )
-"""The terms of the former laws."""
+"""The terms of damage, yield stress, graded modulus and permanent set."""
 
 CLOSURE = (
     StressTerm(stretch, switch="law_stretch"),

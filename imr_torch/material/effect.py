@@ -4,9 +4,8 @@ and its physics.
 An effect frees one or more entries of the parameter vector that a model leaves neutral. Simulators
 ask the library which effects act in a batch and apply their laws; a diagnosis asks it which effects
 it may name. The laws are functions of scalars (:mod:`imr_torch.elementary`), so both engines use
-them; effects of the gel act through a stress term, effects of the camera through
-:mod:`imr_torch.observe.nuisance`. A user adds an effect by registering its parameter and one
-:class:`Effect`.
+them; effects of the gel act through a stress term. A user adds an effect by registering its
+parameter and one :class:`Effect`.
 
 Those of the package are stated in ``data/effects.toml``: what each is called, where it acts, and how
 large it may be. The stages that hold their physics attach it by name (:func:`give_physics`). Effects

@@ -75,13 +75,18 @@ class Stress(NamedTuple):
     >>> import torch
     >>> from imr_torch.material import Stress
     >>> spring = Stress(torch.tensor(-0.1), torch.tensor(0.2), torch.tensor(0.0))
-    >>> round(float(spring.value), 3)
-    -0.1
+    >>> damper = Stress(torch.tensor(0.3), torch.tensor(0.0), torch.tensor(-0.4))
+    >>> round(float((spring + damper).value), 3)
+    0.2
     """
 
     value: Inexact[Tensor, "*batch"]
     rate: Inexact[Tensor, "*batch"]
     acceleration: Inexact[Tensor, "*batch"]
+
+    def __add__(self, other: "Stress") -> "Stress":  # pyright: ignore[reportIncompatibleMethodOverride]
+        """The sum of the stresses, not the longer tuple."""
+        return Stress(*(own + more for own, more in zip(self, other, strict=True)))
 
 
 @dataclass(frozen=True)
@@ -225,16 +230,16 @@ def gel_response(
     (-0.105, (0, 1))
     """
     zero = torch.zeros_like(radius)
-    total = [zero, zero, zero]
+    total = Stress(zero, zero, zero)
     rates = []
     start = 0
     for term in terms:
         states = None if memory is None else memory[start : start + term.states]
         start += term.states
         parts = term.evaluate_law(radius, velocity, rest_radius, theta, states)
-        total = [whole + part for whole, part in zip(total, parts[:3], strict=True)]
+        total = total + Stress(*parts[:3])
         rates += parts[3:]
-    return Stress(*total), torch.stack(rates) if rates else zero.new_zeros(0, *zero.shape)
+    return total, torch.stack(rates) if rates else zero.new_zeros(0, *zero.shape)
 
 
 def derivatives(

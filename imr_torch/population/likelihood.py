@@ -153,7 +153,7 @@ class ShotLikelihood:
         return quadratic[..., None] + polynomial @ self.coefficients.mT
 
     def log_prob(self, controls: DrawnControls) -> DrawnValues:
-        """The same of all draws, at ``n x d`` controls: ``n``."""
+        """Log likelihood at ``n x d`` controls, nats, of all draws: ``n``."""
         return self.log_probs(controls)[:, 0]
 
 

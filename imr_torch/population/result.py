@@ -153,8 +153,8 @@ class Population:
 
     @cached_property
     def trends(self) -> tuple[Trend, ...]:
-        """Of each parameter of four shots or more with the size of the bubble; none where the sizes
-        are the same.
+        """Rank correlation of each parameter with the Weber number, and so with the size of the
+        bubble; empty for fewer than four shots, or shots of one size.
         """
         weber = self.designs[:, 0]
         if len(self.shots) < 4 or float(weber.amin() / weber.amax()) > 1.0 - 1e-6:

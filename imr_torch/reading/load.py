@@ -4,7 +4,9 @@ A :class:`~imr_torch.reading.layout.Layout` says what a file means; without one,
 those of one of ``KNOWN_LAYOUTS``, or must say the units. Further formats are registered: a function
 that recognises a file, and one that reads it; the last one registered is asked first.
 
-A measured pressure, such as the trace of a hydrophone, as driving of a bubble.
+Tables of collapse times are recognised here (:func:`is_shot_file`) and read by
+:mod:`imr_torch.observe.collapse`. :func:`load_driving` reads a measured pressure, such as the trace
+of a hydrophone, as driving.
 """
 
 import glob

@@ -131,13 +131,14 @@ class Statement:
 def _parse_pair(text: str, part: str, where: str) -> Stated:
     try:
         value, *rest = map(float, text.split(":"))
-        (sd,) = rest or (None,)
+        if len(rest) > 1:
+            raise ValueError
     except ValueError:
         raise InputDataError(
             f"{where}: {part!r} is not PROPERTY=VALUE or PROPERTY=VALUE:SD, for example "
             "density=1125:11."
         ) from None
-    return value, sd
+    return value, rest[0] if rest else None
 
 
 def _check_property(name: str, value: float, sd: float | None, *, widest: float = 0.3) -> None:

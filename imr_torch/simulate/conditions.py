@@ -1,5 +1,8 @@
 """Conditions of an experiment (liquid, bubble contents, gel, radial equation) as frozen options
 that check themselves.
+
+The law of polytropic gas is here too: scalar functions that both engines use
+(:mod:`imr_torch.elementary`).
 """
 
 import math

@@ -97,7 +97,8 @@ class TransportField:
         )  # no growth after a failure
         ended = torch.where(error <= 1.0, ACCEPTED, REJECTED)
         ended = torch.where(torch.isfinite(error), ended, NOT_FINITE)
-        factor, ended = (of.repeat_interleave(self.width) for of in (factor, ended))
+        factor = factor.repeat_interleave(self.width)
+        ended = ended.repeat_interleave(self.width)
         accepted = ended == ACCEPTED
         time = torch.where(accepted, time + length, time)
         control = torch.stack((time, step * factor, ended.to(time)))

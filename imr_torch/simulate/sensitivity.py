@@ -205,9 +205,9 @@ def differentiable(
             "imr_torch.simulate.sensitivities, or detach what is not to be differentiated twice."
         )
     shape, parameters, designs, times = broadcast_batch(parameters, designs, times)
-    every = in_transform(parameters, designs, times)
-    of_gel = PARAMETERS.names if every or parameters.requires_grad else ()
-    of_design = DESIGN if every or designs.requires_grad else ()
+    transformed = in_transform(parameters, designs, times)
+    of_gel = PARAMETERS.names if transformed or parameters.requires_grad else ()
+    of_design = DESIGN if transformed or designs.requires_grad else ()
     values = torch.cat((parameters, designs.to(parameters)), 1)
     radius, *others, _ = _Radius.apply(simulator, values, times, (*of_gel, *of_design))
     fields = [value.reshape((*shape, *value.shape[1:])) for value in (radius, *others)]

@@ -1,13 +1,37 @@
-"""Phases in which the noise law says too much: they count as the residuals leave room for, and
-cancel no misfit elsewhere.
+"""Phases of a bubble's motion; and those in which the noise law says too much: they count as the
+residuals leave room for, and cancel no misfit elsewhere.
 """
+
+import math
 
 import pytest
 import torch
 
 from imr_torch.float64 import linspace, ones, randn
-from imr_torch.goodness.phases import PHASES, noise_shares, phase_name, phase_numbers
+from imr_torch.goodness.phases import (
+    PHASES,
+    noise_shares,
+    phase_clock,
+    phase_name,
+    phase_numbers,
+)
 from imr_torch.random import generator
+
+
+def test_that_the_phase_clock_reads_one_at_the_first_collapse_and_two_at_the_second():
+    times = linspace(0.0, 5.0, 501)[None]
+    curve = (torch.cos(0.5 * math.pi * times)).abs()  # collapses at 1, 3 and 5, tops at 2 and 4
+    clock = phase_clock(times, curve, torch.ones_like(times, dtype=torch.bool))[0]
+    expected = torch.where(times[0] <= 1.0, times[0], 0.5 * (times[0] + 1.0))
+    assert torch.allclose(clock, expected, atol=1e-9)
+    assert [phase_name(c) for c in (0.2, 0.9, 1.5, 2.0, 2.5)] == list(PHASES)
+
+
+def test_that_the_phase_clock_runs_on_where_a_record_ends_before_any_collapse():
+    times = linspace(0.0, 0.5, 11)[None]
+    clock = phase_clock(times, 1.0 - times, torch.ones_like(times, dtype=torch.bool))
+    assert torch.isfinite(clock).all()
+    assert phase_name(float(clock[0, -1])) == "first collapse"
 
 
 def test_that_phase_numbers_are_those_of_the_names():

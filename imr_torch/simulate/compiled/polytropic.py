@@ -25,7 +25,7 @@ _NON_FINITE = int(Status.NON_FINITE)
 _RUNAWAY = int(Status.RUNAWAY)
 # the 3/8 rule: rows weigh the earlier rates in the argument of the next stage
 _STAGES = np.array([[1.0 / 3.0, 0.0, 0.0], [-1.0 / 3.0, 1.0, 0.0], [1.0, -1.0, 1.0]])
-HEAD = 3  # R, U, t, then memory, then gas left
+HEAD = 3  # R, U, t, then memory, then gas left (the tensor engine has the gas before the memory)
 
 
 class Work(NamedTuple):

@@ -35,8 +35,10 @@ from imr_torch.simulate.grids import Grid, Resolution
 from imr_torch.simulate.radial import NEARLY_SONIC
 from imr_torch.threads import cores
 
-COMMON = (*MATERIALS["qkv"].terms, MATERIALS["maxwell"].terms[-1])
-"""The stress terms whose laws are compiled into the engine."""
+COMMON = tuple(dict.fromkeys(MATERIALS["qkv"].terms + MATERIALS["maxwell"].terms))
+"""The stress terms whose laws are compiled into the engine: ``newtonian``, ``neo_hookean``,
+``stiffening`` and ``maxwell``.
+"""
 _NO_DRIVING = TabulatedDriving((0.0, 1.0, 2.0), (0.0, 0.0, 0.0))
 
 
@@ -245,9 +247,11 @@ def _share_out(
     def solve_chunk(part: np.ndarray) -> None:
         function(part, *arguments, _own_arrays(*work, get_ident()))
 
-    alone = threads == 1 or len(chunks) == 1
-    for _ in (map if alone else _thread_pool(threads).map)(solve_chunk, chunks):
-        pass
+    if threads == 1 or len(chunks) == 1:
+        for part in chunks:
+            solve_chunk(part)
+    else:
+        list(_thread_pool(threads).map(solve_chunk, chunks))
 
 
 @functools.cache

@@ -443,12 +443,12 @@ def factorise_system(shift, space, work):
         heat[j, inner], heat[j, inner + 1], vapour[j, inner] = 0.0, 0.0, 0.0
     for j in range(outer):
         gel[j, outer] = 0.0
-    _fill_border(shift, space, work)
+    _fill_border(shift, work)
     invert_matrix(work.border)
 
 
 @kernel
-def _fill_border(shift, space, work):
+def _fill_border(shift, work):
     """The system in (R, U, ln P, q, tau_w, memory) that is left when the fields are eliminated, by
     columns.
     """
