@@ -208,8 +208,8 @@ def load_collapse_times(*paths: str | Path) -> tuple[CollapseShot, ...]:
             beside each may state the medium.
 
     Raises:
-        InputDataError: for a missing column, a cell that is no number, a value that no bubble has,
-            or a repeated name.
+        InputDataError: for no file, a missing column, a cell that is no number, a value that no
+            bubble has, or a repeated name.
 
     >>> import tempfile
     >>> from pathlib import Path
@@ -220,6 +220,8 @@ def load_collapse_times(*paths: str | Path) -> tuple[CollapseShot, ...]:
     ...     load_collapse_times(path)[0].stretch
     8.0
     """
+    if not paths:
+        raise InputDataError("load_collapse_times was given no file; name one table or more.")
     shots: list[CollapseShot] = []
     for path in map(Path, paths):
         if not is_shot_file(path):

@@ -386,6 +386,8 @@ def test_that_collapse_times_of_parsimonious_imr_are_read(tmp_path):
     scipy.io.savemat(tmp_path / "bad.mat", {"pIMR_array": array.T})
     with pytest.raises(InputDataError, match=r"pIMR_array has shape \(3, 2\); expected one row"):
         load_collapse_times(tmp_path / "bad.mat")
+    with pytest.raises(InputDataError, match="was given no file"):
+        load_collapse_times()
 
 
 def test_that_tables_of_matlab_ask_for_the_library_that_reads_them(tmp_path, monkeypatch):
