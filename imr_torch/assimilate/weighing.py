@@ -165,10 +165,9 @@ def weigh(
             state.fit = replace(state.fit, sample=sample)
             drawn += 1
             if progress:
-                step = f"{state.fit.model}, round {number}"
-                text = f"draws: {step}, {state.fit.trust}"
-                line = ProgressLine(text, stage="draws", step=step, done=drawn, of=expected)
-                progress(line)
+                model = state.fit.model
+                text = f"draws: {model}, round {number}, {state.fit.trust}"
+                progress(ProgressLine(text, stage="draws", step=model, done=drawn, of=expected))
         _fit_again(waiting, states, options, child(seed, "refit", number), progress)
         ahead = _models_ahead([state.fit for state in states], drop_behind)
         waiting = [
