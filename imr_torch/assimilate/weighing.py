@@ -16,7 +16,7 @@ import torch
 
 from imr_torch.assimilate.fit import Assimilation, ModelFit, Verdict
 from imr_torch.assimilate.forward import Point
-from imr_torch.assimilate.importance import ImportanceSample, NoiseSample, smooth_tail
+from imr_torch.assimilate.importance import ImportanceSample, NoiseSample
 from imr_torch.assimilate.noise_law import NoiseNodes
 from imr_torch.assimilate.nuisance_draws import (
     NuisanceBasin,
@@ -225,8 +225,9 @@ def _make_proposal(state: _State, seed: int, options: WeighingOptions) -> Kernel
     controls = torch.cat([part.controls for part in state.parts])
     target = torch.cat([part.log_target for part in state.parts])
     counts = [len(part) for part in state.parts]
-    log_weights, _ = smooth_tail(target - mixture_log_prob(state.proposals, counts, controls))
-    return Kernels.through_draws(controls, log_weights)
+    return Kernels.through_draws(
+        controls, target - mixture_log_prob(state.proposals, counts, controls)
+    )
 
 
 def _is_bent(state: _State, controls: DrawnControls, options: WeighingOptions) -> bool:

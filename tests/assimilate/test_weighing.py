@@ -17,9 +17,7 @@ from imr_torch.assimilate import (
     WeighingOptions,
     assimilate,
     weigh,
-    weighing,
 )
-from imr_torch.assimilate.proposals import Kernels
 from imr_torch.assimilate.refit import find_lower_draw
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.float64 import ones
@@ -340,22 +338,3 @@ def test_that_a_fit_that_only_looks_too_high_is_not_made_again(right):
     assert not any(line.startswith("assimilation") for line in said)
     assert weighted.cost == fit.cost
     assert weighted.sample.rounds == 2
-
-
-def test_that_one_draw_that_outweighs_the_others_does_not_widen_the_next_proposal(simple):
-    """Its weight is that of a tail, not of a place: raw weights would be tempered to 30 effective."""
-    fit = weigh(simple, LinearSimulator(), seed=0).fits[0]
-    plain = fit.sample.by_experiment
-    outlier = torch.zeros_like(plain)
-    outlier[3, 0] = 5.0
-    state = weighing._State(
-        fit,
-        Posterior(fit.prior, simple.batch, LinearSimulator()),
-        proposals=[Kernels.about_mean(fit.mean, fit.chol)],
-        parts=[replace(fit.sample, by_experiment=plain + outlier)],
-        bent=True,
-    )
-    proposal = weighing._make_proposal(state, 0, WeighingOptions())
-    assert proposal.effective > 60.0
-    spreads = torch.linalg.norm(proposal.chol, dim=1) / torch.linalg.norm(fit.chol, dim=1)
-    assert float(spreads.max()) < 1.3
