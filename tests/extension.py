@@ -1,5 +1,5 @@
-"""What a user adds from outside the package: a constitutive model and an effect. Run by
-``test_extension.py``.
+"""What a user adds from outside the package: a constitutive model, an effect of the bubble and one of
+the camera. Run by ``test_extension.py``.
 
 It prints one line for each, from the data to the answer, with polytropic bubbles.
 """
@@ -100,8 +100,36 @@ register_effect(
 )
 
 
+# ---------------------------------------------------------------- an effect of the camera: the edge
+# of the bubble creeps outwards
+
+PARAMETERS.register(
+    Parameter("creep", "edge, m in Rmax/U_c", "m", "length", -2e-5, 2e-5, 0.0, 1e6, "um")
+)
+register_effect(
+    Effect(
+        "creep",
+        "the edge of the bubble creeps outwards",
+        "measurement",
+        {"creep": TruncatedNormal(0.0, 3e-6)},
+        film=lambda radius, time, creep: radius + creep * time,
+    )
+)
+
+
+def explain(simulator: PolytropicSimulator, times: torch.Tensor, **truth: float) -> None:
+    """Print what a diagnosis says of a gel with an effect."""
+    gel = PARAMETERS.pack({"G": 5000.0, "mu": 0.1, **truth})
+    laboratory = SimulatedLaboratory(simulator, gel, repeats=20, times=times)
+    designs = torch.tensor([[300.0, 0.2], [700.0, 0.16], [500.0, 0.25]], dtype=torch.float64)
+    shots = [laboratory.shoot(each, seed=i) for i, each in enumerate(designs)]
+    rivals = library(("surge", "creep", "far_field_pressure", "sound_speed", "gas_loss"))
+    report = diagnose(shots, effects=rivals, noise=laboratory.noise, simulator=simulator)
+    print("effect", report.verdict, "+".join(report.cause))
+
+
 def main() -> None:
-    """Model and effect."""
+    """Model and effects."""
     simulator = PolytropicSimulator()
     times = torch.linspace(0.0, 2.4, 73, dtype=torch.float64)
     gel = PARAMETERS.pack({"G": 2000.0, "mu": 0.1, "G_second": 8000.0})
@@ -125,14 +153,8 @@ def main() -> None:
     )
     print("model", found.posterior.best.model, ",".join(found.posterior.best.names))
 
-    laboratory = SimulatedLaboratory(
-        simulator, PARAMETERS.pack({"G": 5000.0, "mu": 0.1, "surge": 0.08}), repeats=20, times=times
-    )
-    designs = torch.tensor([[300.0, 0.2], [700.0, 0.16], [500.0, 0.25]], dtype=torch.float64)
-    shots = [laboratory.shoot(each, seed=i) for i, each in enumerate(designs)]
-    rivals = library(("surge", "far_field_pressure", "sound_speed", "gas_loss"))
-    report = diagnose(shots, effects=rivals, noise=laboratory.noise, simulator=simulator)
-    print("effect", report.verdict, "+".join(report.cause))
+    explain(simulator, times, surge=0.08)
+    explain(simulator, times, creep=4e-6)
 
 
 if __name__ == "__main__":

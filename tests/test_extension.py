@@ -8,14 +8,15 @@ from imr_torch.errors import InputDataError
 from imr_torch.observe import READERS, Layout, Reader, TraceSet, load_traces, register_reader
 
 
-def test_that_a_model_and_an_effect_are_added_from_outside(processes):
+def test_that_a_model_and_effects_of_bubble_and_camera_are_added_from_outside(processes):
     """In a process of its own, since registries are shared by all tests."""
     ran = processes.run(Path(__file__).with_name("extension.py"), timeout=900)
     assert ran.returncode == 0, ran.stderr
-    model, effect = ran.stdout.splitlines()
+    model, *effects = ran.stdout.splitlines()
     assert model == "model two_springs G,mu,G_second"
-    assert effect.split()[0] == "effect"
-    assert "surge" in effect
+    for line, cause in zip(effects, ("surge", "creep"), strict=True):
+        assert line.split()[0] == "effect"
+        assert cause in line
 
 
 def test_that_a_reader_is_asked_first_and_takes_no_layout(tmp_path):

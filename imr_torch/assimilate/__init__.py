@@ -3,6 +3,7 @@ certificate.
 """
 
 from imr_torch.assimilate.en4dvar import assimilate_en4dvar
+from imr_torch.assimilate.ensemble import EnsembleAnalysis, analyse_ensemble
 from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit, Verdict
 from imr_torch.assimilate.forward import ForwardModel, Point
 from imr_torch.assimilate.frame_noise import FIRST_KINK, FrameNoise, infer_frame_noise
@@ -33,6 +34,7 @@ __all__ = [
     "Certificate",
     "DescentOptions",
     "En4DVarOptions",
+    "EnsembleAnalysis",
     "FitOptions",
     "ForwardModel",
     "FrameNoise",
@@ -47,6 +49,7 @@ __all__ = [
     "SearchOptions",
     "Verdict",
     "WeighingOptions",
+    "analyse_ensemble",
     "assimilate",
     "assimilate_en4dvar",
     "assimilate_estimating_noise",

@@ -15,7 +15,8 @@ The prior enters through the cost and not through the ensemble, so restarts do n
 again. As slopes are means over the ensemble, steps do not follow the detail of the cost within its
 width: the method passes small local minima. Two things differ from the paper: data have their own
 likelihood, which is not tempered, and each step is shortened to the share of it at which the exact
-cost is lowest.
+cost is lowest. The step itself is that of :mod:`imr_torch.assimilate.ensemble`; members are drawn
+anew before each, since with many experiments there are more coordinates than members.
 """
 
 import math
@@ -23,8 +24,8 @@ import math
 import torch
 from torch import Tensor
 
+from imr_torch.assimilate.ensemble import EnsembleAnalysis, relax_spread, step_from_mean
 from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit
-from imr_torch.assimilate.gauss_newton import NormalEquations, inverse_chol
 from imr_torch.assimilate.options import En4DVarOptions
 from imr_torch.assimilate.posterior import Posterior
 from imr_torch.errors import ConvergenceError
@@ -118,36 +119,37 @@ def _fit_model(
     costs = [math.inf, math.inf]
     length = math.inf
     failed = 0.0
-    equations: NormalEquations | None = None
+    analysis: EnsembleAnalysis | None = None
     before = chol.norm(dim=1)
     for cycle in range(options.cycles):
         # the spread of each coordinate, relaxed to that from which the last cycle began
         spread = chol.norm(dim=1)
-        widening = 1.0 + options.relaxation * (before / spread - 1.0)
+        widening = relax_spread(before, spread, options.relaxation)
         before = spread
         for iteration in range(options.iterations):
             white = randn(options.members // 2, len(chol), generator=source)
             half = white @ chol.mT * widening
-            deviations = torch.cat((half, -half))
             widening = torch.ones_like(widening)
-            equations, failed = _ensemble_equations(posterior, mean, deviations, options)
-            chol = inverse_chol(equations.joint_hessian(posterior.uncertain))
-            step = -chol.mT @ equations.joint_gradient(posterior.uncertain)
-            length = float(step[: posterior.size].norm())
-            # as far along the step as the exact cost is lowest, the point itself included
-            reach = min(
-                1.0, options.longest / max(float((chol @ step)[: posterior.size].norm()), 1e-300)
+            analysis, failed = _analyse_members(
+                posterior, mean, torch.cat((half, -half)), options.simulated
             )
-            tried = mean + reach * tensor(options.lengths)[:, None] * (chol @ step)
+            chol = analysis.chol
+            length = float(analysis.whitened_step[: posterior.size].norm())
+            # as far along the step as the exact cost is lowest, the point itself included
+            move = analysis.mean - mean
+            reach = min(1.0, options.longest / max(float(move[: posterior.size].norm()), 1e-300))
+            tried = mean + reach * tensor(options.lengths)[:, None] * move
             mean = tried[int(posterior.log_joint(posterior.point_at(tried)).argmax())]
             if progress:
                 place = f"cycle {cycle + 1}, iteration {iteration + 1}"
                 text = f"ensemble 4D-Var: {posterior.prior.model}, {place}, step {length:.1e} sd"
                 progress(ProgressLine(text, step=place))
         costs.append(-float(posterior.log_joint(posterior.point_at(mean))))
-    assert equations is not None
+    assert analysis is not None
     agreement = abs(costs[-1] - costs[-2])
     point = posterior.point_at(mean)
+    prediction = posterior.predict(point)
+    equations = posterior.equations(point, prediction, *_split_slopes(posterior, analysis.jacobian))
     return ModelFit(
         prior=posterior.prior,
         mean=point.gel,
@@ -156,7 +158,7 @@ def _fit_model(
         nuisance_response=equations.reduced.nuisance_response,
         nuisance_chol=torch.linalg.cholesky(equations.nuisance_hessian),
         cost=costs[-1],
-        prediction=posterior.predict(point),
+        prediction=prediction,
         certificate=Certificate(
             length,
             agreement,
@@ -168,27 +170,44 @@ def _fit_model(
     )
 
 
-def _ensemble_equations(
-    posterior: Posterior, mean: Tensor, deviations: Tensor, options: En4DVarOptions
-) -> tuple[NormalEquations, float]:
-    """Normal equations at the mean of an ensemble, with slopes over gel and nuisances of each
-    experiment by least squares, and the share of members that failed.
+def _analyse_members(
+    posterior: Posterior, mean: Tensor, deviations: Tensor, simulated: float
+) -> tuple[EnsembleAnalysis, float]:
+    """The step from the mean of an ensemble under the exact likelihood, and the share of members
+    that failed; each experiment's curve depends on the gel and on its own nuisances.
     """
-    point = posterior.point_at(mean)
+    batch = posterior.batch
     prediction = posterior.predict(posterior.point_at(torch.cat((mean[None], mean + deviations))))
     good = torch.isfinite(prediction[1:]).flatten(1).all(1)
     share = float(good.double().mean())
-    if share < options.simulated or not bool(torch.isfinite(prediction[0]).all()):
+    if share < simulated or not bool(torch.isfinite(prediction[0]).all()):
         raise ConvergenceError(
             f"{posterior.prior.model}: {int(good.sum())} of {len(good)} members could be "
             "simulated about the ensemble's mean; "
             "check units and bounds of the prior and the designs."
         )
-    own = deviations[good, posterior.size :].unflatten(1, (prediction.shape[1], -1)).movedim(0, 1)
-    gel = deviations[good, : posterior.size].expand(len(own), -1, -1)
-    responses = (prediction[1:] - prediction[0])[good].movedim(0, 1)
-    slopes = torch.linalg.lstsq(torch.cat((gel, own), -1), responses, driver="gelsd").solution.mT
-    by_nuisance = posterior.mean_nuisances()[:, None].repeat(1, slopes.shape[1], 1)
-    by_nuisance[..., posterior.uncertain] = slopes[..., posterior.size :]
-    by_gel = slopes[..., : posterior.size]
-    return posterior.equations(point, prediction[0], by_gel, by_nuisance), 1.0 - share
+    sd = batch.sd(prediction[0])
+    owners = eye(len(batch.experiments)).bool().repeat_interleave(len(posterior.uncertain), 0)
+    influence = torch.cat((owners.new_ones(posterior.size, owners.shape[1]), owners))
+    analysis = step_from_mean(
+        mean,
+        deviations[good],
+        (prediction[1:] - prediction[0])[good].flatten(1),
+        slope=posterior.likelihood_slope(prediction[0]).flatten(),
+        whiten=lambda x: batch.whiten(x.unflatten(-1, sd.shape), sd).flatten(-2),
+        prior=(torch.zeros_like(mean), eye(len(mean))),
+        influence=influence.repeat_interleave(sd.shape[1], 1),
+    )
+    return analysis, 1.0 - share
+
+
+def _split_slopes(posterior: Posterior, jacobian: Tensor) -> tuple[Tensor, Tensor]:
+    """Slopes over all coordinates as those over the gel, ``E x T x d``, and over each experiment's
+    own nuisances, ``E x T x w``.
+    """
+    sds = posterior.batch.nuisance_sds
+    slopes = jacobian.unflatten(-1, (len(sds), -1))
+    own = slopes[posterior.size :].unflatten(0, (len(sds), -1)).diagonal(dim1=0, dim2=2)
+    by_nuisance = zeros(len(sds), slopes.shape[-1], sds.shape[1])
+    by_nuisance[..., posterior.uncertain] = own.movedim(-1, 0).mT
+    return slopes[: posterior.size].movedim(0, -1), by_nuisance

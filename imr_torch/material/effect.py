@@ -37,6 +37,7 @@ _LAWS = {
     "gas_loss": 3,
     "vapour": 1,
     "far_field": 1,
+    "film": 2,
 }  # what acts, and its arguments before the parameters
 
 
@@ -68,6 +69,8 @@ class Effect:
             wall when the contents are compressed to ``P/P(0)``.
         far_field: ``far_field(time, *parameters)``, a far-field pressure over ``p_inf`` and its
             first two time derivatives.
+        film: ``film(radius, time, *parameters)``, R* as the camera sees it where the true one is
+            ``radius`` at ``time``, in tensors.
         offered: whether a diagnosis tries it though nobody names it.
 
     >>> from imr_torch.material import LIBRARY
@@ -89,6 +92,7 @@ class Effect:
     gas_loss: Law | None = None
     vapour: Law | None = None
     far_field: Law | None = None
+    film: Law | None = None
     offered: bool = True
     names: tuple[str, ...] = field(init=False)
 
@@ -138,7 +142,7 @@ class Effect:
     @property
     def physical(self) -> bool:
         """Whether it acts on the bubble by a law of its own."""
-        return any(getattr(self, label) is not None for label in _LAWS)
+        return any(getattr(self, label) is not None for label in _LAWS if label != "film")
 
     @cached_property
     def compilable(self) -> bool:
@@ -183,7 +187,7 @@ def give_physics(name: str, **laws: Law) -> None:
 
     Args:
         name: of the effect.
-        laws: ``setting``, ``gas_loss``, ``vapour`` or ``far_field``, as of :class:`Effect`.
+        laws: ``setting``, ``gas_loss``, ``vapour``, ``far_field`` or ``film``, as of :class:`Effect`.
 
     >>> from imr_torch.material import LIBRARY, Effect, TruncatedNormal, register_effect
     >>> from imr_torch.material.effect import give_physics

@@ -20,11 +20,21 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from imr_torch.elementary import Law
 from imr_torch.errors import InputDataError
 from imr_torch.float64 import tensor
-from imr_torch.material import PARAMETERS
+from imr_torch.material import LIBRARY, PARAMETERS, dimensionless
+from imr_torch.material.effect import give_physics
 from imr_torch.simulate import EARLIEST
-from imr_torch.types import BatchParameters, DesignVectors, Frames, FrameTimes, ParameterVectors
+from imr_torch.types import (
+    BatchParameters,
+    BroadcastValues,
+    DesignVectors,
+    Frames,
+    FrameTimes,
+    ParameterVectors,
+)
+from imr_torch.units import Surroundings
 
 NUISANCES = ("max_radius", "time_zero", "rest_radius")
 """The nuisances of one experiment, in the order of tensors of them."""
@@ -149,7 +159,6 @@ _COLUMNS = PARAMETERS.index(
         "rinf_bias",
         "clock",
         "exposure_blur",
-        "refraction",
         "edge_error",
     )
 )
@@ -166,15 +175,17 @@ class Distortion:
         clock: log of true over measured time.
         blur: exposure, in Rmax/U_c; ``batch_shape x E`` where the exposure of each experiment is
             known.
-        refraction: relative error of R that grows with R*.
         edge: measured less true radius, m.
+        films: laws of effects that change the radius as filmed, with their parameters.
+        parameters: values of these among all, SI; ``batch_shape x 1 x p``.
     """
 
     shifts: Float[Tensor, "*batch 1 3"]
     clock: Float[Tensor, "*batch 1"]
     blur: Float[Tensor, "*batch #experiments"]
-    refraction: Float[Tensor, "*batch 1"]
     edge: Float[Tensor, "*batch 1"]
+    films: tuple[tuple[Law, tuple[str, ...]], ...]
+    parameters: Float[Tensor, "*batch 1 parameters"]
 
     @classmethod
     def of(
@@ -184,10 +195,22 @@ class Distortion:
         blur; None if all are 0.
         """
         columns = parameters[..., _COLUMNS]
-        if not columns.any() and not exposures.any():
+        films = tuple(
+            (effect.film, effect.names)
+            for effect in LIBRARY.values()
+            if effect.film is not None and parameters[..., PARAMETERS.index(effect.names[:1])].any()
+        )
+        if not columns.any() and not exposures.any() and not films:
             return None
-        clock, blur, refraction, edge = (x[..., None] for x in columns[..., 3:].unbind(-1))
-        return cls(columns[..., None, :3], clock, blur + exposures.to(blur), refraction, edge)
+        clock, blur, edge = (x[..., None] for x in columns[..., 3:].unbind(-1))
+        return cls(
+            columns[..., None, :3],
+            clock,
+            blur + exposures.to(blur),
+            edge,
+            films,
+            parameters[..., None, :],
+        )
 
     def shifts_of(
         self, designs: Float[Tensor, "experiments 2"], max_radius: Float[Tensor, "experiments"]
@@ -226,15 +249,23 @@ class Distortion:
         self,
         times: Frames,
         simulate: Callable[[Tensor], Tensor],
+        max_radius: Float[Tensor, "experiments"],
+        surroundings: Surroundings,
     ) -> Frames:
-        """Radii as filmed: averaged over the exposure, seen through a lens.
+        """Radii as filmed: averaged over the exposure, then changed by each effect of the film.
 
         Args:
             times: true times of the frames.
             simulate: true radii at times, for any number of them.
+            max_radius: measured, m.
+            surroundings: of the bubbles.
         """
         radius = self._average_exposure(times, simulate) if self.blur.any() else simulate(times)
-        return radius * (1.0 + self.refraction[..., None] * radius)
+        if self.films:
+            theta = dimensionless(self.parameters, max_radius, surroundings)
+            for law, names in self.films:
+                radius = law(radius, times, *(theta[name][..., None] for name in names))
+        return radius
 
     def _average_exposure(
         self, times: Tensor, simulate: Callable[[Tensor], Tensor], *, shortest: float = 1e-6
@@ -260,3 +291,18 @@ class Distortion:
         return torch.where(
             early[..., None], torch.nan, torch.where(instant[..., None], radius[..., 0], mean)
         )
+
+
+def magnify_by_size(radius: Frames, time: Frames, refraction: BroadcastValues) -> Frames:
+    """What a lens or the curved gel does to a radius: an error that grows with R*.
+
+    >>> import torch
+    >>> from imr_torch.observe.nuisance import magnify_by_size
+    >>> radius = torch.tensor([1.0, 0.5], dtype=torch.float64)
+    >>> magnify_by_size(radius, radius, 0.02).tolist()
+    [1.02, 0.505]
+    """
+    return radius * (1.0 + refraction * radius)
+
+
+give_physics("refraction", film=magnify_by_size)

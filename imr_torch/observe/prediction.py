@@ -118,7 +118,9 @@ def _predict_radii(
 
     if truth.distortion is None:
         return simulate_radius(truth.times) * truth.scale
-    radius = truth.distortion.film_radius(truth.times, simulate_radius)
+    surroundings = simulator.conditions.surroundings
+    max_radius = surroundings.max_radius(designs[:, 0])
+    radius = truth.distortion.film_radius(truth.times, simulate_radius, max_radius, surroundings)
     return radius * truth.scale + truth.beyond
 
 
