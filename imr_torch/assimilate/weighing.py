@@ -16,7 +16,12 @@ import torch
 
 from imr_torch.assimilate.fit import Assimilation, ModelFit, Verdict
 from imr_torch.assimilate.forward import Point
-from imr_torch.assimilate.importance import ImportanceSample, NoiseSample
+from imr_torch.assimilate.importance import (
+    ImportanceSample,
+    NoiseSample,
+    largest_shape,
+    smooth_tail,
+)
 from imr_torch.assimilate.noise_law import NoiseNodes
 from imr_torch.assimilate.nuisance_draws import (
     NuisanceBasin,
@@ -225,9 +230,13 @@ def _make_proposal(state: _State, seed: int, options: WeighingOptions) -> Kernel
     controls = torch.cat([part.controls for part in state.parts])
     target = torch.cat([part.log_target for part in state.parts])
     counts = [len(part) for part in state.parts]
-    return Kernels.through_draws(
-        controls, target - mixture_log_prob(state.proposals, counts, controls)
-    )
+    log_weights = target - mixture_log_prob(state.proposals, counts, controls)
+    # the largest weights of a tail that is light enough are chance; those of a heavy one say that
+    # the posterior reaches on where they lie
+    smoothed, shape = smooth_tail(log_weights)
+    if shape <= largest_shape(len(controls)):
+        log_weights = smoothed
+    return Kernels.through_draws(controls, log_weights)
 
 
 def _is_bent(state: _State, controls: DrawnControls, options: WeighingOptions) -> bool:
