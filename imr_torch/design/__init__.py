@@ -12,6 +12,7 @@ from imr_torch.design.gain import (
 )
 from imr_torch.design.laplace import Laplace
 from imr_torch.design.measure import DesignMeasure, MeasureOptions, apportion_shots, optimal_measure
+from imr_torch.design.next_design import NextDesign
 from imr_torch.design.optimizer import DesignOptimizer, Recommendation
 from imr_torch.design.response import Plan, Shot, radii
 from imr_torch.design.search import DesignSearch, finish_search, search_design
@@ -30,6 +31,7 @@ __all__ = [
     "Laplace",
     "ListedDesigns",
     "MeasureOptions",
+    "NextDesign",
     "Plan",
     "Recommendation",
     "Shot",

@@ -14,13 +14,13 @@ import torch
 from imr_torch.assimilate import ModelFit
 from imr_torch.assimilate.dense import dense_curve
 from imr_torch.assimilate.spikes import spoilt_sentence
+from imr_torch.design import NextDesign
 from imr_torch.files import Document, drawn_numbers
 from imr_torch.float64 import zeros
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.examine import Parts
 from imr_torch.gap.hypotheses import EXPLAINS, GEL_SCATTER, Hypothesis, gels_of, in_words
-from imr_torch.gap.identity_design import NextDesign
 from imr_torch.gap.shrinkage import Shrinkage
 from imr_torch.gap.verdict import MEMBER, NONE, OTHER, SLOW_NOISE
 from imr_torch.goodness.phases import PHASES, phase_numbers
@@ -38,6 +38,11 @@ _ENTRIES = {
     NONE: "nothing is missing",
     OTHER: "an effect that the library does not hold",
     SLOW_NOISE: "slow noise of the camera",
+    "material": "a stress of the gel, one function of stretch and strain rate in all shots",
+    "contents": "a pressure of the contents, one function of radius and velocity in all shots",
+    "drive": "a pressure of its own in each shot",
+    "sample": "the sample around the bubble: an echo of its flux, or a resistance to it",
+    "camera": "an error of the camera, of radius or time",
 }
 
 
@@ -355,7 +360,7 @@ def list_names() -> Document:
 
 
 def _fill_template(name: str, document: Document) -> str:
-    return render(name, document=document, **list_names()).strip("\n")
+    return " ".join(render(name, document=document, **list_names()).split())
 
 
 def describe(document: Document) -> str:

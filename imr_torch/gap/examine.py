@@ -10,17 +10,20 @@ rows count.
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from imr_torch.design import NextDesign
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.float64 import randn, zeros
 from imr_torch.gap.adequacy import Adequacy, log_p_values
 from imr_torch.gap.diagnose import GapReport
-from imr_torch.gap.identity_design import NextDesign, identity_design, plan_of
+from imr_torch.gap.hypotheses import EXPLAINS
+from imr_torch.gap.identity_design import identity_design, plan_of
 from imr_torch.gap.model_error import Hidden, ModelError, hidden_effects, model_error
 from imr_torch.gap.shrinkage import Shrinkage, shrinkage
 from imr_torch.gap.verdict import OTHER
@@ -33,7 +36,7 @@ from imr_torch.random import SeedLike, child, generator
 from imr_torch.simulate import Simulator, fewer_steps
 from imr_torch.threads import one_torch_thread
 from imr_torch.types import Directions, FrameMask, Progress, ProgressLine
-from imr_torch.unknown import Unknown, infer_unknown
+from imr_torch.unknown import Unknown, choose_shot, infer_unknown
 
 _GRID = (0.15, 0.3, 0.5, 0.75, 0.94, 1.06, 1.25, 1.5, 1.75, 1.94, 2.06, 2.25, 2.6, 3.2, math.inf)
 _LEVEL = 0.01  # of a false onset; that there is a gap at all is not decided here
@@ -143,14 +146,15 @@ def examine(
             ProgressLine("location, shrinkage, next design, what is missing", stage="location")
         )
     judging = replace(report.batch, experiments=tuple(unseen)) if unseen else None
+    unknown = _unknown(report, simulator)
     return replace(
         parts,
         onset=onset(report.left, seed=child(seed, "onset")),
         shrinkage=shrinkage(
             report, simulator, judging, seed=child(seed, "shrinkage"), progress=progress
         ),
-        next_design=_next(report, simulator, seed, progress),
-        unknown=_unknown(report, simulator),
+        next_design=_next(report, unknown, simulator, seed, progress),
+        unknown=unknown,
     )
 
 
@@ -165,31 +169,38 @@ def _unknown(report: GapReport, simulator: Simulator) -> Unknown | None:
 
 
 def _next(
-    report: GapReport, simulator: Simulator, seed: int, progress: Progress
+    report: GapReport,
+    unknown: Unknown | None,
+    simulator: Simulator,
+    seed: int,
+    progress: Progress,
 ) -> NextDesign | None:
     """The design that tells causes apart, by the data's own plan, where the leading one is not
-    sure and a shot can.
+    sure; where no effect is enough, that which tells kinds of what is missing apart.
     """
     found = report.attribution
-    if (
-        found is None
-        or report.verdict == OTHER
-        or found.posterior.get(found.winner.name, 0.0) > _SURE
-    ):
-        return None
-    try:
-        return identity_design(
-            found.with_one_gel,
-            found.posterior,
-            simulator,
-            plan=plan_of(report.batch),
-            seed=child(seed, "next"),
-            progress=progress,
-        )
-    except (InputDataError, ConvergenceError):
-        # fewer than two causes, or bubbles that cannot be simulated elsewhere, take nothing from
-        # what was found here
-        return None
+    plan = plan_of(report.batch)
+    own = child(seed, "next")
+    # fewer than two causes, or bubbles that cannot be simulated elsewhere, take nothing from what
+    # was found here
+    with suppress(InputDataError, ConvergenceError):
+        if report.verdict == OTHER and unknown is not None and unknown.explained >= EXPLAINS:
+            fewer = fewer_steps(simulator)
+            return choose_shot(unknown, report.null.prior, fewer, plan=plan, seed=own)
+        if (
+            found is not None
+            and report.verdict != OTHER
+            and found.posterior.get(found.winner.name, 0.0) <= _SURE
+        ):
+            return identity_design(
+                found.with_one_gel,
+                found.posterior,
+                simulator,
+                plan=plan,
+                seed=own,
+                progress=progress,
+            )
+    return None
 
 
 def onset(left: Adequacy, *, seed: SeedLike) -> Onset:

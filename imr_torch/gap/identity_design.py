@@ -8,15 +8,19 @@ not be this one. It never exceeds the entropy of the causes. What it means is sa
 probability of the truth. An unknown effect makes no data, so it is not among the causes here.
 """
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import torch
-from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
-from imr_torch.design import DesignSpace, ExpectedInformationGain, Laplace, Plan, search_design
+from imr_torch.design import (
+    DesignSpace,
+    ExpectedInformationGain,
+    Laplace,
+    NextDesign,
+    Plan,
+    search_design,
+)
 from imr_torch.design.response import Shot
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.float64 import linspace, tensor
@@ -29,46 +33,7 @@ from imr_torch.types import Design, Progress
 _LEFT = 0.02  # a cause less probable than this is not worth an experiment
 _MOST = 6  # causes that are compared
 _FINAL = 4  # times the draws at the design that is returned
-_SURE = 2.0  # standard errors that a rise of the probability must exceed to count
 _REFINEMENTS = 3  # Gauss-Newton steps to the gel of a rival cause
-
-
-@dataclass(frozen=True)
-class NextDesign:
-    """The next design to shoot, and why.
-
-    Args:
-        design: ``2`` tensor, (We, R_inf*).
-        gain: expected information about the cause there, nats.
-        error: its Monte Carlo standard error.
-        causes: cause -> probability among those compared.
-        plan: how the shot is taken to be observed.
-        after: mean probability of the truth after the shot, over causes drawn from ``causes``.
-        after_error: its Monte Carlo standard error.
-    """
-
-    design: Design
-    gain: float
-    error: float
-    causes: dict[str, float]
-    plan: Plan
-    after: float
-    after_error: float
-
-    @property
-    def entropy(self) -> float:
-        """Of the causes now, nats: the most that any experiment could give."""
-        return -sum(p * math.log(p) for p in self.causes.values())
-
-    @property
-    def now(self) -> float:
-        """Mean probability of the truth now, over causes drawn from ``causes``."""
-        return sum(p**2 for p in self.causes.values())
-
-    @property
-    def helps(self) -> bool:
-        """Whether the expected probability of the truth rises by more than two standard errors."""
-        return self.after - self.now > _SURE * self.after_error
 
 
 def plan_of(batch: ExperimentBatch) -> Plan:
@@ -222,16 +187,7 @@ def judge_design(
     log_prior = shot.belief.log_probabilities
     posterior = torch.log_softmax(logs.mT + log_prior, dim=1)
     own = [posterior[some, i] for i, some in enumerate(gels.rows)]
-    gain, error = _stratified([log - log_prior[i] for i, log in enumerate(own)], log_prior.exp())
-    after, after_error = _stratified([log.exp() for log in own], log_prior.exp())
-    return NextDesign(design, gain, error, dict(causes), plan, after, after_error)
-
-
-def _stratified(values: list[Tensor], weights: Tensor) -> tuple[float, float]:
-    """Weighted mean over strata, and its standard error."""
-    mean = torch.stack([own.mean() for own in values]) @ weights
-    variance = torch.stack([own.var() / len(own) for own in values]) @ weights.square()
-    return float(mean), math.sqrt(variance)
+    return NextDesign.judge(design, own, dict(causes), plan)
 
 
 def _belief(causes: Mapping[str, float], fits: Mapping[str, ModelFit]) -> Belief:

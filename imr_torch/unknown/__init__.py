@@ -3,8 +3,10 @@
 from imr_torch.unknown.infer import (
     NOTHING_KNOWN,
     MissingPressure,
+    Rival,
     Unknown,
     infer_unknown,
 )
+from imr_torch.unknown.next_shot import choose_shot
 
-__all__ = ["NOTHING_KNOWN", "MissingPressure", "Unknown", "infer_unknown"]
+__all__ = ["NOTHING_KNOWN", "MissingPressure", "Rival", "Unknown", "choose_shot", "infer_unknown"]

@@ -82,6 +82,29 @@ class MissingPressure:
 
 
 @dataclass(frozen=True)
+class Rival:
+    """An explanation of what is missing, as it predicts shots that were not made.
+
+    Args:
+        columns: what its weights make of a shot.
+        gel: most probable one beside it.
+        weights: most probable ones.
+        root: square root of the covariance of gel and weights together.
+        size: of what is missing, over its usual size.
+        inside: whether it acts in the equation of motion.
+        each: whether every shot has weights of its own, so that a further shot has new ones.
+    """
+
+    columns: Columns
+    gel: Controls
+    weights: Float[Tensor, "weights"]
+    root: Float[Tensor, "gel_and_weights columns"]
+    size: float
+    inside: bool
+    each: bool
+
+
+@dataclass(frozen=True)
 class Unknown:
     """What is missing.
 
@@ -91,17 +114,29 @@ class Unknown:
         terms: plain term, or ``"nothing known"``, -> probability; empty where the camera is most
             probable.
         shots: the missing pressure in each shot by the most probable kind; none likewise.
+        rivals: kind, or plain term that was fitted in place of the most probable kind, -> what it
+            predicts.
     """
 
     probabilities: dict[str, float]
     explained: float
     terms: dict[str, float]
     shots: tuple[MissingPressure, ...]
+    rivals: dict[str, Rival]
 
     @property
     def kind(self) -> str:
         """The most probable kind."""
         return max(self.probabilities, key=self.probabilities.__getitem__)
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """Probability of each rival; the most probable kind keeps what no plain term has."""
+        of_terms = {name: p for name, p in self.terms.items() if name in self.rivals}
+        likeliest = self.probabilities[self.kind]
+        left = 1.0 - sum(of_terms.values())
+        shares = self.probabilities | {self.kind: likeliest * left}
+        return shares | {name: likeliest * p for name, p in of_terms.items()}
 
 
 @dataclass(frozen=True)
@@ -261,17 +296,41 @@ def infer_unknown(
     fits: dict[str, _Fit] = {}
     for name, columns in kinds.items():
         fits[name] = search.fit(columns, lead=fits.get("drive"))
+    kinds[CAMERA] = camera_errors
     fits[CAMERA] = search.fit(camera_errors, inside=False)
     base = search.assemble(search.still, search.responses, ()).solve(1.0)
     logs = {name: found.log_evidence for name, found in fits.items()}
     probabilities = tensor(list(logs.values())).softmax(0).tolist()
     best = max(logs, key=logs.__getitem__)
-    outside = best == CAMERA
+    rivals = {name: _as_rival(fits[name], kinds[name], each=name == "drive") for name in fits}
+    terms: dict[str, float] = {}
+    missing: tuple[MissingPressure, ...] = ()
+    if best != CAMERA:
+        terms, fitted = _compare_terms(search, fits[best])
+        missing = _missing_pressures(search, fits[best], kinds[best])
+        rivals |= fitted
     return Unknown(
         dict(zip(logs, probabilities, strict=True)),
         logs[best] - base.log_evidence,
-        {} if outside else _compare_terms(search, fits[best]),
-        () if outside else _missing_pressures(search, fits[best], kinds[best]),
+        terms,
+        missing,
+        rivals,
+    )
+
+
+def _as_rival(found: _Fit, columns: Columns, *, each: bool = False) -> Rival:
+    """A fit as an explanation of further shots."""
+    root = found.system.solve(found.size).root
+    gel = len(found.state.gel)
+    weights = found.system.unknown.shape[1]
+    return Rival(
+        columns,
+        found.aim.gel,
+        found.aim.weights,
+        torch.cat((root[:gel], found.size * root[-weights:])),
+        found.size,
+        found.state.inside,
+        each,
     )
 
 
@@ -433,9 +492,11 @@ def _columns_of_term(term: Callable[[Path], Tensor], responses: Sequence[Respons
     return columns
 
 
-def _compare_terms(search: _Search, found: _Fit, *, fitted: int = 3) -> dict[str, float]:
-    """Probability of each plain term in place of the unknown function; half of the prior is for
-    nothing known.
+def _compare_terms(
+    search: _Search, found: _Fit, *, fitted: int = 3
+) -> tuple[dict[str, float], dict[str, Rival]]:
+    """Probability of each plain term in place of the unknown function, half of the prior being for
+    nothing known; and the terms that were fitted.
 
     All are compared about the trajectories of the unknown function; the best are then fitted.
     """
@@ -444,12 +505,15 @@ def _compare_terms(search: _Search, found: _Fit, *, fitted: int = 3) -> dict[str
         name: search.linearise(own, found.state, found.responses).log_evidence
         for name, own in columns.items()
     }
+    rivals = {}
     for name in sorted(logs, key=lambda name: -logs[name])[:fitted]:
-        logs[name] = search.fit(columns[name], lead=found).log_evidence
+        own = search.fit(columns[name], lead=found)
+        logs[name] = own.log_evidence
+        rivals[name] = _as_rival(own, columns[name])
     logs = {name: log - math.log(len(TERMS)) for name, log in logs.items()}
     logs[NOTHING_KNOWN] = found.log_evidence
     shares = tensor(list(logs.values())).softmax(0).tolist()
-    return dict(sorted(zip(logs, shares, strict=True), key=lambda item: -item[1]))
+    return dict(sorted(zip(logs, shares, strict=True), key=lambda item: -item[1])), rivals
 
 
 def _missing_pressures(

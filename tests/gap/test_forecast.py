@@ -8,10 +8,10 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
-from imr_torch.design import Plan
+from imr_torch.design import NextDesign, Plan
 from imr_torch.float64 import linspace, ones, randn, tensor
 from imr_torch.gap.hypotheses import Hypothesis
-from imr_torch.gap.identity_design import NextDesign, identity_design, judge_design, plan_of
+from imr_torch.gap.identity_design import identity_design, judge_design, plan_of
 from imr_torch.material import LIBRARY
 from imr_torch.observe import Experiment, ExperimentBatch, Film, Noise, Nuisance, predict
 from imr_torch.random import generator
