@@ -112,7 +112,7 @@ def to_json(
     }
     return document | {
         "headline": _fill_template("diagnosis_headline.txt", document),
-        "next_step": _fill_template("diagnosis_next_step.txt", document),
+        "next_step": " ".join(_fill_template("diagnosis_next_step.txt", document).splitlines()),
     }
 
 
@@ -360,7 +360,7 @@ def list_names() -> Document:
 
 
 def _fill_template(name: str, document: Document) -> str:
-    return " ".join(render(name, document=document, **list_names()).split())
+    return render(name, document=document, **list_names()).strip("\n")
 
 
 def describe(document: Document) -> str:
