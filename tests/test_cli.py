@@ -9,7 +9,6 @@ import pytest
 import torch
 
 from benchmarks.interruptions import Disk
-from imr_torch import example_gel
 from imr_torch.campaign import Journal
 from imr_torch.cli import COMMANDS, build_parser, main
 from imr_torch.cli.campaign_settings import settings_of
@@ -20,9 +19,9 @@ from imr_torch.material import PARAMETERS, wide_prior
 from imr_torch.observe import Nuisance
 from imr_torch.results import draw_figures
 from imr_torch.simulate import PolytropicSimulator, Status, explain_growth
+from tests.docs.test_sources import ROOT
 from tests.journals import cut
 
-EXAMPLE = example_gel()
 TRUTH = {"G": 8310.0, "mu": 0.093}
 TABLE = "experiment_id,time_s,radius_m\n"
 QUICK = ["--physics", "polytropic", "--quiet"]
@@ -103,35 +102,46 @@ def test_simulate_writes_the_curve_and_a_figure(rendered, tmp_path, capsys):
     assert "NHKV, Rmax 331.6 um" in capsys.readouterr().out
 
 
-def test_characterize_finds_the_gel_that_ships_with_the_project(tmp_path, capsys):
-    out = tmp_path / "result"
-    arguments = (
-        f"characterize {EXAMPLE} --models nhkv --noise published --quiet --out {out}".split()
-    )
-    assert main([*arguments, "--experiments", "shot_1,shot_3"]) == 0
+def split_figures(line: str) -> tuple[str, list[float]]:
+    """A line with ``#`` in place of its figures, and these."""
+    number = r"-?\d+(?:\.\d+)?(?:e[-+]\d+)?"
+    return re.sub(number, "#", line), [float(x) for x in re.findall(number, line)]
+
+
+def test_that_the_demo_finds_its_gel_and_prints_what_the_pages_say(tmp_path, monkeypatch, capsys):
+    """Its first command with one of the two models, which leaves the fit of that model as it is."""
+    asked = []
+
+    def run_first(command: list[str]) -> int:
+        asked.append(command)
+        return 0 if command[0] == "campaign" else main([x.split(",gen_qkv")[0] for x in command])
+
+    monkeypatch.setattr("imr_torch.cli.main", run_first)
+    assert main(f"demo --out {tmp_path}/demo --quiet".split()) == 0
+    assert "nhkv,gen_qkv" in asked[0]
+    out = tmp_path / "demo" / "characterize"
     result = json.loads((out / "characterize.json").read_text())
-    assert [e["id"] for e in result["experiments"]] == ["shot_1", "shot_3"]
+    shots = [e["id"] for e in result["experiments"]]
     fit = result["models"]["nhkv"]
     assert fit["certificate"]["converged"]
     assert fit["rmse"] == pytest.approx(0.003, rel=0.2)
     for name, (low, middle, high) in fit["intervals"].items():
         assert low < TRUTH[name] < high
         assert middle == pytest.approx(TRUTH[name], rel=0.1)
-    figures = {path.name for path in out.glob("*.png")}
-    names = (
-        "record",
-        "curve_shot_1",
-        "curve_shot_3",
-        "residuals",
-        "parts",
-        "parameters",
-        "parameter_G",
-        "parameter_mu",
-    )
-    assert figures == {f"{name}.png" for name in names}
-    assert {path.stem for path in out.glob("*.pdf")} == set(names)
-    assert "4 curve(s)" not in (out / "report.txt").read_text()
-    assert "converged" in capsys.readouterr().out
+    names = {"record", "residuals", "parts", "parameters", "parameter_G", "parameter_mu"}
+    names |= {f"curve_{shot}" for shot in shots}
+    assert {path.stem for path in out.glob("*.png")} == names
+    assert {path.stem for path in out.glob("*.pdf")} == names
+    said = re.findall(r"^Fit: .*", (out / "report.txt").read_text(), re.DOTALL | re.MULTILINE)[0]
+    assert said in capsys.readouterr().out
+    for page in (ROOT / "README.md", ROOT / "docs" / "start" / "index.md"):
+        written = re.findall(r"```text\n(Fit: .*?)```", page.read_text(), re.DOTALL)[0]
+        written = re.sub(r"probability [\d.]+ \+- [\d.]+", "the only candidate", written)
+        for number, lines in enumerate(zip(written.splitlines(), said.splitlines(), strict=False)):
+            (text, figures), (printed, found) = map(split_figures, lines)
+            assert text == printed
+            if number < 5:  # below are those of the computation, which differ between machines
+                assert figures == pytest.approx(found, rel=0.002, abs=0.1 * (number == 0))
 
 
 def test_design_names_several_designs_and_what_each_adds(tmp_path, capsys):
@@ -289,7 +299,7 @@ def test_campaign_shoots_a_list_and_stops_when_enough_is_known(tmp_path):
     result = json.loads((out / "campaign.json").read_text())
     assert result["designs"] == [[300.0, 0.2]]
     assert not list(out.glob("information_*.png"))
-    assert "and nhkv has a probability above 0.99" in (out / "journal.jsonl").read_text()
+    assert "and NHKV has a probability above 0.99" in (out / "journal.jsonl").read_text()
 
 
 def shot_csv(path, seed=3):

@@ -142,7 +142,7 @@ def _fit_model(
             mean = tried[int(posterior.log_joint(posterior.point_at(tried)).argmax())]
             if progress:
                 place = f"cycle {cycle + 1}, iteration {iteration + 1}"
-                text = f"ensemble 4D-Var: {posterior.prior.model}, {place}, step {length:.1e} sd"
+                text = f"ensemble 4D-Var: {posterior.prior.material.title}, {place}, step {length:.1e} sd"
                 progress(ProgressLine(text, step=place))
         costs.append(-float(posterior.log_joint(posterior.point_at(mean))))
     assert equations is not None

@@ -110,7 +110,7 @@ def assimilate(
         if progress:
             step = f"iteration {next(number)}"
             text = (
-                f"assimilation: {step}, {end.near.posterior.prior.model} "
+                f"assimilation: {step}, {end.near.posterior.prior.material.title} "
                 f"cost {end.cost:.2f} gradient {end.gradient:.1e}"
             )
             progress(ProgressLine(text, step=step))
@@ -146,7 +146,8 @@ def assimilate(
     fits = tuple(_conclude_fit(search) for search in searches)
     for fit in fits:
         if warn and not fit.certificate.converged:
-            warnings.warn(f"{fit.model}: {fit.certificate}", ConvergenceWarning, stacklevel=3)
+            text = f"{fit.prior.material.title}: {fit.certificate}"
+            warnings.warn(text, ConvergenceWarning, stacklevel=3)
     return Assimilation(belief, batch, fits)
 
 

@@ -165,7 +165,7 @@ def weigh(
             state.fit = replace(state.fit, sample=sample)
             drawn += 1
             if progress:
-                model = state.fit.model
+                model = state.fit.prior.material.title
                 text = f"draws: {model}, round {number}, {state.fit.trust}"
                 progress(ProgressLine(text, stage="draws", step=model, done=drawn, of=expected))
         _fit_again(waiting, states, options, child(seed, "refit", number), progress)

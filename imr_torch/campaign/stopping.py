@@ -121,8 +121,8 @@ class RelativeSd:
         if not (all(known) if self.name is None else reached.get(self.name)):
             return None
         return (
-            f"{self.name or 'every parameter'} of {best.model} is known within {100 * self.below:g} % (one "
-            "standard deviation)"
+            f"{self.name or 'every parameter'} of {best.material.title} is known within "
+            f"{100 * self.below:g} % (one standard deviation)"
         )
 
 
@@ -154,14 +154,15 @@ class ModelProbability(_Above):
     >>> from imr_torch import wide_prior
     >>> from imr_torch.campaign import ModelProbability, CampaignState
     >>> ModelProbability(above=0.95).find_reason(CampaignState(wide_prior(["nhkv"]), experiments=()))
-    'nhkv has a probability above 0.95'
+    'NHKV has a probability above 0.95'
     """
 
     def find_reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
-        best = state.belief.best.model
-        probable = state.belief.probabilities[best] > self.above
-        return f"{best} has a probability above {self.above:g}" if probable else None
+        best = state.belief.best
+        if state.belief.probabilities[best.model] <= self.above:
+            return None
+        return f"{best.material.title} has a probability above {self.above:g}"
 
 
 @dataclass(frozen=True)

@@ -285,7 +285,7 @@ def test_that_a_fit_that_converged_says_so_and_does_not_warn():
 
 
 def test_that_a_fit_that_was_cut_short_warns_and_says_so():
-    with pytest.warns(ConvergenceWarning, match=r"nhkv: NOT CONVERGED \(gradient") as caught:
+    with pytest.warns(ConvergenceWarning, match=r"NHKV: NOT CONVERGED \(gradient") as caught:
         result = fitted(
             prior(("nhkv",)),
             experiments(3),
