@@ -164,7 +164,7 @@ def assimilate_model(
 
     Args:
         posterior: of the model.
-        starts: ``n`` gels with nuisances of each, or (``E x w``) for all.
+        starts: ``n`` gels with the nuisances of each.
         seed: of further starts.
         options: how to search.
         progress: called with one line per iteration.
