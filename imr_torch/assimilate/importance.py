@@ -263,13 +263,10 @@ class ImportanceSample(SmoothedWeights):
 
     def noise_laws(self, count: int) -> list[Noise] | None:
         """``count`` noise laws of the posterior, of equal weight; None where the noise is known."""
-        return (
-            None
-            if self.noise is None
-            else [
-                self.noise.nodes.law_at(int(n)) for n in self.noise.drawn[self.space_draws(count)]
-            ]
-        )
+        if self.noise is None:
+            return None
+        drawn = self.noise.drawn[self.space_draws(count)]
+        return [self.noise.nodes.law_at(node) for node in drawn.tolist()]
 
     def divergence_from(
         self, mean: Controls, chol: ControlMatrix, behind: float = math.inf
@@ -307,7 +304,7 @@ class ImportanceSample(SmoothedWeights):
 
     @property
     def _weight_spread(self) -> float:
-        return float(len(self) * self.weights.std() / math.sqrt(len(self)))
+        return math.sqrt(len(self)) * float(self.weights.std())
 
     @property
     def doubtful_error(self) -> float:

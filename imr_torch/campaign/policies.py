@@ -18,7 +18,7 @@ from imr_torch.design import (
     Plan,
     search_design,
 )
-from imr_torch.errors import InputDataError
+from imr_torch.errors import InputDataError, check_at_least
 from imr_torch.float64 import tensor
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch
@@ -140,8 +140,7 @@ class Optimal:
                 f"Optimal has initial {self.initial} of {self.evaluations} evaluations; expected "
                 "2 <= initial <= evaluations."
             )
-        if self.batch < 1:
-            raise InputDataError(f"Optimal.batch is {self.batch}; expected at least 1.")
+        check_at_least(self, 1, "batch")
 
     def choose_design(self, situation: Situation, *, progress: Progress = None) -> Proposal:
         """See :class:`DesignPolicy`."""

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from imr_torch.campaign.learners import Finding
-from imr_torch.errors import InputDataError
+from imr_torch.errors import InputDataError, check_at_least
 from imr_torch.material import PARAMETERS, Belief
 from imr_torch.observe import Experiment
 
@@ -77,8 +77,7 @@ class Designs:
     count: int
 
     def __post_init__(self) -> None:
-        if self.count < 1:
-            raise InputDataError(f"Designs.count is {self.count}; expected at least 1.")
+        check_at_least(self, 1, "count")
 
     def find_reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""

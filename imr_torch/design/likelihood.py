@@ -19,7 +19,7 @@ from torch import Tensor
 
 from imr_torch.assimilate.gauss_newton import NormalEquations, normal_equations
 from imr_torch.design.response import Plan, Response, Rows, Shot, simulate_response
-from imr_torch.float64 import randn
+from imr_torch.float64 import eye, randn
 from imr_torch.types import BatchControlMatrix, BroadcastValues, DrawnControls, DrawnValues
 
 
@@ -168,7 +168,7 @@ class Linear:
     @property
     def fisher(self) -> BatchControlMatrix:
         """``n x d x d`` tensor ``J^T C^-1 J``, what the data add to the precision."""
-        return self.chol @ self.chol.mT - torch.eye(self.chol.shape[-1], dtype=self.chol.dtype)
+        return self.chol @ self.chol.mT - eye(self.chol.shape[-1])
 
 
 def infer_linear(data: Data, at: Response, plan: Plan) -> Linear:
