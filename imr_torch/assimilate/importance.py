@@ -98,6 +98,20 @@ def weighted_quantiles(
     return torch.from_numpy(np.interp(levels.numpy(), below.numpy(), values[order].numpy()))
 
 
+def weighted_moments(points: DrawnControls, weights: DrawnValues) -> tuple[Controls, ControlMatrix]:
+    """Mean and covariance of weighted draws.
+
+    >>> import torch
+    >>> from imr_torch.assimilate.importance import weighted_moments
+    >>> mean, covariance = weighted_moments(torch.tensor([[0.0], [4.0]]), torch.tensor([0.75, 0.25]))
+    >>> float(mean), float(covariance)
+    (1.0, 3.0)
+    """
+    mean = weights @ points
+    deviation = points - mean
+    return mean, (weights[:, None] * deviation).mT @ deviation
+
+
 @dataclass(frozen=True)
 class NoiseSample:
     """Weighted draws under each of the noise laws over which they are integrated.
@@ -253,10 +267,8 @@ class ImportanceSample(SmoothedWeights):
         """
         whitened = torch.linalg.solve_triangular(chol, (self.controls - mean).mT, upper=False)
         weights = torch.softmax(-0.5 * whitened.square().sum(0) - self.log_proposal, dim=0)
-        centre = weights @ self.controls
-        deviation = self.controls - centre
-        before = torch.linalg.cholesky((weights[:, None] * deviation).mT @ deviation)
-        after = torch.linalg.cholesky(self.covariance)
+        centre, covariance = weighted_moments(self.controls, weights)
+        before, after = map(torch.linalg.cholesky, (covariance, self.covariance))
         return mean + self.mean - centre, chol @ torch.linalg.solve_triangular(
             before, after, upper=False
         )
@@ -329,8 +341,7 @@ class ImportanceSample(SmoothedWeights):
     @property
     def covariance(self) -> ControlMatrix:
         """``d x d`` tensor, posterior covariance of ``v``."""
-        deviation = self.controls - self.mean
-        return (self.weights[:, None] * deviation).mT @ deviation
+        return weighted_moments(self.controls, self.weights)[1]
 
     @property
     def power_sensitivities(self) -> Float[Tensor, "2 controls"]:

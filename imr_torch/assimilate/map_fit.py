@@ -126,8 +126,8 @@ def assimilate(
 
 
 def _search_in_turn(searches: Sequence[ModelSearch], options: SearchOptions) -> None:
-    """Find the lowest minimum of each model; each search ends where it cannot come near the lowest of
-    those before it.
+    """Find the lowest minimum of each model; each search ends where it cannot come near the lowest
+    of those before it.
     """
     begun = [one.approach_first() for one in searches]
     drop_behind = math.inf if options.drop_behind is None else options.drop_behind

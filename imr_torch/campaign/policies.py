@@ -186,8 +186,8 @@ class Random:
 
 @dataclass(frozen=True)
 class SpaceFilling:
-    """Designs of a scrambled Sobol sequence, which leaves no region out and repeats none; of a list,
-    each of its designs before one is repeated.
+    """Designs of a scrambled Sobol sequence, which leaves no region out and repeats none; of a
+    list, each of its designs before one is repeated.
 
     >>> from imr_torch import PolytropicSimulator, reference_case
     >>> from imr_torch.campaign import Situation, SpaceFilling

@@ -225,8 +225,8 @@ def _log_bayes_factor(
         if not a.prior[key].same_as(b.prior[key]):
             return (
                 None,
-                f"the priors of {titles[key]} differ between the two results; characterise both with the "
-                "same one",
+                f"the priors of {titles[key]} differ between the two results; characterise both "
+                "with the same one",
             )
         weight = 0.0
         if every:
@@ -237,8 +237,8 @@ def _log_bayes_factor(
         if wrong is not None:
             return (
                 None,
-                f"the posterior of {titles[key]} from {wrong.source} is not Gaussian by its weighted "
-                "draws",
+                f"the posterior of {titles[key]} from {wrong.source} is not Gaussian by its "
+                "weighted draws",
             )
         factor = _gaussian_factor(a.posterior[key], b.posterior[key], a.prior[key])
         if factor is None:

@@ -57,7 +57,7 @@ class DesignSpace:
 
     def draw_design(self, *, seed: int) -> Design:
         """One of the designs, all equally probable."""
-        return self.bounds[0] + self.bounds.diff(dim=0)[0] * rand(2, generator=generator(seed))
+        return torch.lerp(*self.bounds, rand(2, generator=generator(seed)))
 
     def spread_designs(self, count: int, *, seed: int) -> Designs:
         """So many designs that leave no region out: the first of a scrambled Sobol sequence."""
@@ -115,11 +115,11 @@ class ListedDesigns(DesignSpace):
 
     def draw_design(self, *, seed: int) -> Design:
         """One of the list, all equally probable."""
-        return self.listed[torch.randint(len(self.rows), (), generator=generator(seed))]
+        return self.spread_designs(1, seed=seed)[0]
 
     def spread_designs(self, count: int, *, seed: int) -> Designs:
-        """So many of the list, or all: after a random one, always the farthest from those before."""
-        unit = (self.listed - self.bounds[0]) / self.bounds.diff(dim=0)
+        """So many of the list, or all: a random one, then always the farthest from those before."""
+        unit = self.listed / self.bounds.diff(dim=0)
         order = [int(torch.randint(len(unit), (), generator=generator(seed)))]
         while len(order) < min(count, len(unit)):
             order.append(int(torch.cdist(unit, unit[order]).amin(1).argmax()))

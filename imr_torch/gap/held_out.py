@@ -357,7 +357,7 @@ def held_out(
         hypothesis,
         line.residual[:data],
         line.fitted[:data, size:],
-        nuisances[0, (batch.nuisance_sds > 0.0).any(0)],
+        nuisances[0, posterior.uncertain],
         line.fitted[:data, :size],
         line,
         fit.certificate.converged,

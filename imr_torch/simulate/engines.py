@@ -53,7 +53,8 @@ class EngineSimulator:
     def __post_init__(self) -> None:
         if self.engine not in ENGINES:
             raise InputDataError(
-                f"{type(self).__name__}.engine is {self.engine!r}; expected one of {', '.join(ENGINES)}."
+                f"{type(self).__name__}.engine is {self.engine!r}; expected one of "
+                f"{', '.join(ENGINES)}."
             )
         check_at_least(self, 1, "threads", note=", or None for all cores")
 

@@ -1,5 +1,5 @@
-"""Linear refits beside what may be missing: whitened rows of data and priors, their least squares and
-evidence.
+"""Linear refits beside what may be missing: whitened rows of data and priors, their least squares
+and evidence.
 """
 
 from dataclasses import dataclass

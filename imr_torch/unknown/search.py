@@ -1,5 +1,5 @@
-"""Gauss-Newton of one kind of unknown beside gel and nuisances, about trajectories that are simulated
-again under what was found.
+"""Gauss-Newton of one kind of unknown beside gel and nuisances, about trajectories that are
+simulated again under what was found.
 """
 
 import math

@@ -102,14 +102,13 @@ def test_random_designs_are_uniform_and_space_filling_ones_more_even():
 
 def test_that_where_a_list_alone_can_be_shot_designs_are_of_it():
     """And space-filling ones are those of the ends first, each once before one is repeated."""
-    rows = tuple((x, 0.2, 1.0) for x in (200.0, 400.0, 500.0, 600.0, 900.0))
-    space = ListedDesigns(rows=rows)
+    weber = {200.0, 400.0, 500.0, 600.0, 900.0}
+    space = ListedDesigns(rows=tuple((x, 0.2, 1.0) for x in weber))
     for policy in (Random(), SpaceFilling()):
-        found = [float(choose(policy, number, space=space)[0]) for number in range(1, 11)]
-        assert {*found} <= {row[0] for row in rows}
+        found = [float(choose(policy, number, space=space)[0]) for number in range(1, 7)]
+        assert {*found} <= weber
     assert {200.0, 900.0} <= {*found[:3]}
-    assert sorted(found[:5]) == [row[0] for row in rows]
-    assert found[5:] == found[:5]
+    assert {*found[:5]} == weber
 
 
 def test_a_list_is_shot_in_order_and_its_end_is_an_error():

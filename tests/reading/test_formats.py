@@ -142,15 +142,13 @@ def test_that_the_json_beside_gives_pixel_size_and_frame_rate(tmp_path):
     )
     rate = {"frame_rate_fps": 1e6}
     entry = {"experiments": [{"experiment_id": "gel", "pixel_size_m": 2e-6}]}
-    for said in (rate | {"pixel_size_m": 2e-6}, rate | entry):
-        (tmp_path / "gel.json").write_text(json.dumps(said))
+    for said in ({"pixel_size_m": 2e-6}, entry):
+        (tmp_path / "gel.json").write_text(json.dumps(rate | said))
         check(load_traces(tmp_path / "gel.csv"), ("gel",))
-    (tmp_path / "gel.json").write_text(json.dumps(rate | entry | {"pixel_size_m": 3e-6}))
-    with pytest.raises(InputDataError, match="no pixel_size is known; write pixel_size_m once"):
-        load_traces(tmp_path / "gel.csv")
-    (tmp_path / "gel.json").write_text(json.dumps({"pixel_size_m": 0}))
-    with pytest.raises(InputDataError, match="pixel_size_m of the file is 0; expected one above 0"):
-        load_traces(tmp_path / "gel.csv")
+    for size, text in ((3e-6, "write pixel_size_m once"), (0, "is 0; expected one above 0")):
+        (tmp_path / "gel.json").write_text(json.dumps(rate | entry | {"pixel_size_m": size}))
+        with pytest.raises(InputDataError, match=text):
+            load_traces(tmp_path / "gel.csv")
 
 
 def test_that_the_json_beside_describes_camera_medium_and_radii(tmp_path):
