@@ -20,12 +20,12 @@ from torch import Tensor
 from imr_torch.design.gain import (
     InformationEstimator,
     InformationGain,
-    check_at_least,
     mean_deviations,
     with_influence,
 )
 from imr_torch.design.likelihood import Data, Gels, linearise_data, simulate_gels
 from imr_torch.design.response import Plan, Response, Shot
+from imr_torch.errors import check_at_least
 from imr_torch.float64 import ones, randn, zeros
 
 
@@ -72,8 +72,7 @@ class NestedMonteCarlo(InformationEstimator):
 
     >>> NestedMonteCarlo(inner=1)
     Traceback (most recent call last):
-    imr_torch.errors.InputDataError: NestedMonteCarlo.inner is 1; at least 2 are needed for an error
-    estimate.
+    imr_torch.errors.InputDataError: NestedMonteCarlo.inner is 1; expected at least 2.
     """
 
     draws: int = 200

@@ -42,6 +42,31 @@ class EngineWarning(ImrWarning):
     """The engine asked for could not be used; another one gave the same result, more slowly."""
 
 
+def check_at_least(of: object, least: int, *names: str, note: str = "") -> None:
+    """Raise unless fields are large enough, or None.
+
+    Args:
+        of: whose fields.
+        least: smallest value.
+        names: of the fields.
+        note: what else may be given, for the message.
+
+    Raises:
+        InputDataError: naming the field, its value and what is expected.
+
+    >>> from types import SimpleNamespace
+    >>> from imr_torch.errors import check_at_least
+    >>> check_at_least(SimpleNamespace(repeats=0), 1, "repeats")
+    Traceback (most recent call last):
+    imr_torch.errors.InputDataError: SimpleNamespace.repeats is 0; expected at least 1.
+    """
+    for name in names:
+        value = getattr(of, name)
+        if value is not None and not value >= least:
+            where = f"{type(of).__name__}.{name}"
+            raise InputDataError(f"{where} is {value}; expected at least {least}{note}.")
+
+
 def in_one_line(error: BaseException) -> str:
     r"""The kind and the text of any error, for a message.
 

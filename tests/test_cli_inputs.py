@@ -76,11 +76,13 @@ def test_that_a_known_parameter_is_not_inferred():
     assert both["qkv"].known == {"G": 2770.0}
 
 
-def test_that_a_fit_keeps_what_is_known(tmp_path):
+def test_that_a_fit_keeps_what_is_known_and_takes_the_experiments_that_are_named(tmp_path):
     document = tmp_path / "fit.json"
-    assert main([*FIT, *f"--known mu=0.1 --json {document}".split()]) == 0
-    (model,) = json.loads(document.read_text())["models"].values()
-    assert list(model["intervals"]) == ["G"]
+    some = f"--known mu=0.1 --experiments shot_1,shot_3 --json {document}"
+    assert main([*FIT, *some.split()]) == 0
+    result = json.loads(document.read_text())
+    assert [e["id"] for e in result["experiments"]] == ["shot_1", "shot_3"]
+    assert list(result["models"]["nhkv"]["intervals"]) == ["G"]
 
 
 def test_that_a_fit_that_has_not_converged_ends_with_its_status(tmp_path, capsys, monkeypatch):

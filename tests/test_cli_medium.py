@@ -137,18 +137,7 @@ def test_that_diagnose_fits_in_the_stated_medium(tmp_path, capsys):
 
 def test_that_a_campaign_is_of_one_medium(tmp_path, capsys):
     out = tmp_path / "gel"
-    base = [
-        "campaign",
-        "--models",
-        "nhkv",
-        "--policy",
-        "space-filling",
-        "--repeats",
-        "1",
-        *QUICK,
-        "--out",
-        str(out),
-    ]
+    base = f"campaign --models nhkv --policy space-filling --repeats 1 --out {out}".split() + QUICK
     rest = ["--rest-radius", "0.21:0.005"]
     assert main([*base, "--medium", "density=1150:10"]) == 0
     start = json.loads((out / "journal.jsonl").read_text().splitlines()[0])

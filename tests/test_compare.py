@@ -135,7 +135,7 @@ def test_that_priors_that_differ_give_no_bayes_factor():
     part = PRIOR["nhkv"]
     moved = Belief((part.with_gaussian(part.mean + 0.1, part.chol),), PRIOR.log_probabilities)
     assert (
-        "priors of nhkv differ"
+        "priors of NHKV differ"
         in compare(gel((0.3, 0.0), 0.02), gel((0.3, 0.0), 0.02, prior=moved)).reason
     )
 
@@ -144,7 +144,7 @@ def test_that_doubtful_results_are_compared_with_a_caution():
     bad = {"verdict": "refused", "certificate": {"converged": False}}
     found = compare(gel((0.3, 0.0), 0.1, models={"nhkv": bad}), gel((0.3, 0.0), 0.1))
     text = " ".join(found.cautions)
-    assert "the fit of nhkv to gel (0.3, 0.0) has not converged" in text
+    assert "the fit of NHKV to gel (0.3, 0.0) has not converged" in text
     assert (
         "the intervals of gel (0.3, 0.0) are not reliable, since their computation failed" in text
     )

@@ -154,17 +154,8 @@ def test_that_a_program_gets_events_with_the_part_that_is_done():
 
 @pytest.mark.parametrize(("option", "shown"), [([], False), (["--verbose"], True)])
 def test_that_a_command_shows_details_only_when_asked(option, shown, capsys):
-    space = [
-        "--we-range",
-        "200:400",
-        "--evaluations",
-        "3",
-        "--draws",
-        "2",
-        "--physics",
-        "polytropic",
-    ]
-    assert main(["design", "--case", "soft-pa", *space, *option]) == 0
+    design = "design --case soft-pa --we-range 200:400 --evaluations 3 --draws 2"
+    assert main([*f"{design} --physics polytropic".split(), *option]) == 0
     said = capsys.readouterr().err
     assert ("EIG" in said) is shown
     assert (": search of designs, design 1 of 3" in said) is not shown

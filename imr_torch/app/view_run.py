@@ -136,7 +136,6 @@ class RunView:
 
     def _list_names(self, kind: str) -> Iterable[str]:
         """What there is to choose of a kind."""
-        results = self.runs.list_results()
         match kind:
             case "curves":
                 return self.workspace.load_curves().ids
@@ -147,8 +146,10 @@ class RunView:
             case "effects":
                 return LIBRARY
             case "campaigns":
+                results = self.runs.list_results()
                 return [result.name for result in results if result.name.endswith("_campaign")]
             case "characterizations":
+                results = self.runs.list_results()
                 return [r.name for r in results if (r.folder / "characterize.json").is_file()]
         raise ValueError(f"forms.toml: nothing is listed for {kind!r}")
 

@@ -142,7 +142,8 @@ def _fit_model(
             mean = tried[int(posterior.log_joint(posterior.point_at(tried)).argmax())]
             if progress:
                 place = f"cycle {cycle + 1}, iteration {iteration + 1}"
-                text = f"ensemble 4D-Var: {posterior.prior.model}, {place}, step {length:.1e} sd"
+                title = posterior.prior.material.title
+                text = f"ensemble 4D-Var: {title}, {place}, step {length:.1e} sd"
                 progress(ProgressLine(text, step=place))
         costs.append(-float(posterior.log_joint(posterior.point_at(mean))))
     assert analysis is not None

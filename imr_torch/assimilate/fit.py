@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from imr_torch.assimilate.forward import Point
+from imr_torch.assimilate.gauss_newton import half_log_det
 from imr_torch.assimilate.importance import ImportanceSample, weighted_quantiles
 from imr_torch.assimilate.posterior import Neighbourhood, Posterior
 from imr_torch.float64 import tensor
@@ -226,7 +227,7 @@ class ModelFit:
     @property
     def nuisance_log_det(self) -> float:
         """Log determinant of the nuisances' Hessian."""
-        return 2.0 * float(self.nuisance_chol.diagonal(dim1=-2, dim2=-1).log().sum())
+        return 2.0 * float(half_log_det(self.nuisance_chol).sum())
 
     @property
     def posterior(self) -> ModelBelief:

@@ -148,15 +148,15 @@ def infer_frame_noise(
     sds = torch.zeros_like(factors)
     found = grid.weigh_combinations(factors)
     for _ in curves[1:]:
-        ratios, errors, gains = grid.compare_curves(found, factors)
+        *_, gains = grid.compare_curves(found, factors)
         other = int(gains.argmax())
         if float(gains[other]) < 0.0:
             break
         for _ in range(2):  # the law of all is seen better beside a factor
+            ratios, errors, _ = grid.compare_curves(found, factors)
             factors[other] *= ratios[other]
             sds[other] = errors[other]
             found = grid.weigh_combinations(factors)
-            ratios, errors, gains = grid.compare_curves(found, factors)
     law, laws = grid.sum_deviations(found)
     independent = grid.add_misfit(law, laws, factors)
     widened = interval_factor(fits, independent[0])

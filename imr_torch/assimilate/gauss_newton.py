@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from imr_torch.float64 import eye
 from imr_torch.types import BatchControlMatrix, BatchControls, Values
 
 
@@ -72,7 +73,7 @@ class NormalEquations:
         step = -torch.cholesky_solve(self.nuisance_gradient[..., None], chol)[..., 0]
         from_nuisances = (response.mT @ self.nuisance_gradient[..., None])[..., 0].sum(-2)
         hessian = self.gel_hessian + (self.cross.mT @ response).sum(-3)
-        log_det = 2.0 * chol.diagonal(dim1=-2, dim2=-1).log().sum((-2, -1))
+        log_det = 2.0 * half_log_det(chol).sum(-1)
         return Reduced(
             self.gel_gradient + from_nuisances,
             make_definite(0.5 * (hessian + hessian.mT)),
@@ -96,7 +97,7 @@ class NormalEquations:
         """Logarithm of the Gaussian integral over gel and nuisances with their standard normal
         priors, over the integrand at the point.
         """
-        log_det = self.gel_chol.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+        log_det = half_log_det(self.gel_chol)
         return self.log_nuisance_integral + 0.5 * self._gel_decrease - log_det
 
     @property
@@ -152,16 +153,24 @@ class NormalEquations:
         nuisances: Float[Tensor, "*#batch experiments nuisances"],
     ) -> "NormalEquations":
         """The equations of a likelihood with the standard normal prior of both, at a point."""
-        eye_of_gel, eye_of_nuisances = (
-            torch.eye(x.shape[-1], dtype=x.dtype, device=x.device) for x in (gel, nuisances)
-        )
         return NormalEquations(
             gel + self.gel_gradient,
             nuisances + self.nuisance_gradient,
-            eye_of_gel + self.gel_hessian,
-            make_definite(eye_of_nuisances + self.nuisance_hessian),
+            eye(gel.shape[-1]) + self.gel_hessian,
+            make_definite(eye(nuisances.shape[-1]) + self.nuisance_hessian),
             self.cross,
         )
+
+
+def half_log_det(chol: BatchControlMatrix) -> Values:
+    """Half the log determinants of matrices with Cholesky factors ``... x d x d``.
+
+    >>> import torch
+    >>> from imr_torch.assimilate.gauss_newton import half_log_det
+    >>> round(float(half_log_det(torch.tensor([[2.0, 0.0], [1.0, 1.0]]))), 3)  # 1/2 log 4
+    0.693
+    """
+    return chol.diagonal(dim1=-2, dim2=-1).log().sum(-1)
 
 
 def make_definite(hessian: BatchControlMatrix, *, rounding: float = 1e-13) -> BatchControlMatrix:
@@ -201,10 +210,10 @@ def inverse_chol(hessian: BatchControlMatrix) -> BatchControlMatrix:
     >>> bool(torch.allclose(chol @ chol.mT @ hessian, torch.eye(2, dtype=torch.float64)))
     True
     """
-    eye = torch.eye(hessian.shape[-1], dtype=hessian.dtype, device=hessian.device)
+    one = eye(hessian.shape[-1])
     chol, info = torch.linalg.cholesky_ex(hessian.flip((-2, -1)))
-    chol = torch.where((info > 0)[..., None, None], eye, chol)
-    inverse = torch.linalg.solve_triangular(chol, eye.expand_as(chol), upper=False)
+    chol = torch.where((info > 0)[..., None, None], one, chol)
+    inverse = torch.linalg.solve_triangular(chol, one.expand_as(chol), upper=False)
     return inverse.mT.flip((-2, -1)).tril()
 
 

@@ -98,6 +98,20 @@ def weighted_quantiles(
     return torch.from_numpy(np.interp(levels.numpy(), below.numpy(), values[order].numpy()))
 
 
+def weighted_moments(points: DrawnControls, weights: DrawnValues) -> tuple[Controls, ControlMatrix]:
+    """Mean and covariance of weighted draws.
+
+    >>> import torch
+    >>> from imr_torch.assimilate.importance import weighted_moments
+    >>> mean, covariance = weighted_moments(torch.tensor([[0.0], [4.0]]), torch.tensor([0.75, 0.25]))
+    >>> float(mean), float(covariance)
+    (1.0, 3.0)
+    """
+    mean = weights @ points
+    deviation = points - mean
+    return mean, (weights[:, None] * deviation).mT @ deviation
+
+
 @dataclass(frozen=True)
 class NoiseSample:
     """Weighted draws under each of the noise laws over which they are integrated.
@@ -253,23 +267,18 @@ class ImportanceSample(SmoothedWeights):
         """
         whitened = torch.linalg.solve_triangular(chol, (self.controls - mean).mT, upper=False)
         weights = torch.softmax(-0.5 * whitened.square().sum(0) - self.log_proposal, dim=0)
-        centre = weights @ self.controls
-        deviation = self.controls - centre
-        before = torch.linalg.cholesky((weights[:, None] * deviation).mT @ deviation)
-        after = torch.linalg.cholesky(self.covariance)
+        centre, covariance = weighted_moments(self.controls, weights)
+        before, after = map(torch.linalg.cholesky, (covariance, self.covariance))
         return mean + self.mean - centre, chol @ torch.linalg.solve_triangular(
             before, after, upper=False
         )
 
     def noise_laws(self, count: int) -> list[Noise] | None:
         """``count`` noise laws of the posterior, of equal weight; None where the noise is known."""
-        return (
-            None
-            if self.noise is None
-            else [
-                self.noise.nodes.law_at(int(n)) for n in self.noise.drawn[self.space_draws(count)]
-            ]
-        )
+        if self.noise is None:
+            return None
+        drawn = self.noise.drawn[self.space_draws(count)]
+        return [self.noise.nodes.law_at(node) for node in drawn.tolist()]
 
     def divergence_from(
         self, mean: Controls, chol: ControlMatrix, behind: float = math.inf
@@ -307,7 +316,7 @@ class ImportanceSample(SmoothedWeights):
 
     @property
     def _weight_spread(self) -> float:
-        return float(len(self) * self.weights.std() / math.sqrt(len(self)))
+        return math.sqrt(len(self)) * float(self.weights.std())
 
     @property
     def doubtful_error(self) -> float:
@@ -332,8 +341,7 @@ class ImportanceSample(SmoothedWeights):
     @property
     def covariance(self) -> ControlMatrix:
         """``d x d`` tensor, posterior covariance of ``v``."""
-        deviation = self.controls - self.mean
-        return (self.weights[:, None] * deviation).mT @ deviation
+        return weighted_moments(self.controls, self.weights)[1]
 
     @property
     def power_sensitivities(self) -> Float[Tensor, "2 controls"]:

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit
 from imr_torch.assimilate.forward import Point
-from imr_torch.assimilate.local_minimum import Descent
+from imr_torch.assimilate.local_minimum import Descent, Report
 from imr_torch.assimilate.multistart import ModelSearch
 from imr_torch.assimilate.options import SearchOptions
 from imr_torch.assimilate.posterior import Posterior
@@ -104,17 +104,7 @@ def assimilate(
         if options.mask_collapses is None
         else options.mask_collapses
     )
-    number = itertools.count(1)
-
-    def report_iteration(end: Descent) -> None:
-        if progress:
-            step = f"iteration {next(number)}"
-            text = (
-                f"assimilation: {step}, {end.near.posterior.prior.model} "
-                f"cost {end.cost:.2f} gradient {end.gradient:.1e}"
-            )
-            progress(ProgressLine(text, step=step))
-
+    report = _report_iterations(progress)
     searches = [
         ModelSearch(
             posterior,
@@ -122,10 +112,23 @@ def assimilate(
             options,
             masking,
             source,
-            report_iteration,
+            report,
         )
         for posterior, point in zip(posteriors, points, strict=True)
     ]
+    _search_in_turn(searches, options)
+    fits = tuple(_conclude_fit(search) for search in searches)
+    for fit in fits:
+        if warn and not fit.certificate.converged:
+            text = f"{fit.prior.material.title}: {fit.certificate}"
+            warnings.warn(text, ConvergenceWarning, stacklevel=3)
+    return Assimilation(belief, batch, fits)
+
+
+def _search_in_turn(searches: Sequence[ModelSearch], options: SearchOptions) -> None:
+    """Find the lowest minimum of each model; each search ends where it cannot come near the lowest
+    of those before it.
+    """
     begun = [one.approach_first() for one in searches]
     drop_behind = math.inf if options.drop_behind is None else options.drop_behind
     lowest = options.rival
@@ -143,11 +146,21 @@ def assimilate(
     for one in searches:
         one.limit = lowest + min(drop_behind, options.descent.basin_rivals)
         one.enter_deeper_basins()
-    fits = tuple(_conclude_fit(search) for search in searches)
-    for fit in fits:
-        if warn and not fit.certificate.converged:
-            warnings.warn(f"{fit.model}: {fit.certificate}", ConvergenceWarning, stacklevel=3)
-    return Assimilation(belief, batch, fits)
+
+
+def _report_iterations(progress: Progress) -> Report | None:
+    """A line of progress for each iteration of all searches, numbered."""
+    if progress is None:
+        return None
+    number = itertools.count(1)
+
+    def report(end: Descent) -> None:
+        step = f"iteration {next(number)}"
+        model = end.near.posterior.prior.material.title
+        text = f"assimilation: {step}, {model} cost {end.cost:.2f} gradient {end.gradient:.1e}"
+        progress(ProgressLine(text, step=step))
+
+    return report
 
 
 def assimilate_model(
@@ -163,7 +176,7 @@ def assimilate_model(
 
     Args:
         posterior: of the model.
-        starts: ``n`` gels with nuisances of each, or (``E x w``) for all.
+        starts: ``n`` gels with the nuisances of each.
         seed: of further starts.
         options: how to search.
         progress: called with one line per iteration.

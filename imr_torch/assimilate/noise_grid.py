@@ -14,7 +14,13 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate.matern import MATERN, matern_whitened
-from imr_torch.assimilate.noise_law import LocalNoise, best_scales, equations_of_columns
+from imr_torch.assimilate.noise_law import (
+    LocalNoise,
+    best_scales,
+    equations_of_columns,
+    split_probability,
+    sum_marginals,
+)
 from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.float64 import ones, tensor, zeros
 from imr_torch.observe import Noise, NoiseLaws
@@ -182,8 +188,8 @@ class NoiseGrid:
             (*_balance_law(prior.law, balance), floor, weight / len(prior.floors))
             for (balance, weight), floor in itertools.product(prior.balances, prior.floors)
         ]
-        some = (1.0 - prior.exact) / len(prior.kinks)
-        kinks = [(0.0, prior.exact), *((kink, some) for kink in prior.kinks)]
+        shares = split_probability(prior.exact, len(prior.kinks))
+        kinks = list(zip((0.0, *prior.kinks), shares, strict=True))
         of_laws, of_kinks, of_deviations = map(tensor, (laws, kinks, _deviations(fits, prior)))
         level = _mean_variance(curves, of_laws, ones(sum(len(near.centre) for near in fits))).sqrt()
         own = level[:, None] / prior.level[0] * of_kinks[:, 0]
@@ -207,8 +213,7 @@ class NoiseGrid:
         for some, its in zip(self.values.split(at_once), level.split(at_once), strict=True):
             local = [c.describe_locally(some, factors, its) for c in self.curves]
             scales, sds = best_scales(local)
-            value = torch.stack([one.marginal(scales[:, None])[:, 0] for one in local]).sum(0)
-            parts.append((scales, sds, value))
+            parts.append((scales, sds, sum_marginals(local, scales)))
         likely, widths, marginal = map(torch.cat, zip(*parts, strict=True))
         median, wide = self.prior.level
         ahead = math.log(median) - 0.5 * level.log() - likely
@@ -272,20 +277,15 @@ class NoiseGrid:
         values = torch.cat((amounts, without_deviation), 1)
         level = ones(len(tried))
         local = [c.describe_locally(values, factors, level) for c in self.curves]
-        as_given = zeros(len(tried), 1)  # logarithms of factors on the laws
-        marginal = torch.stack([one.marginal(as_given)[:, 0] for one in local]).sum(0)
-        none = self.prior.none
-        marginal[0] += math.log(none)
-        marginal[1:] += math.log((1.0 - none) / len(self.prior.misfits))
+        marginal = sum_marginals(local, zeros(len(tried)))  # at their own scales
+        marginal += tensor(split_probability(self.prior.none, len(self.prior.misfits))).log()
         shares = torch.softmax(marginal, 0)
         logs = torch.stack([self.log_sd(one) for one in tried])
         within = torch.softmax(marginal[1:], 0)
         middle = within @ logs[1:]
         spread = (within @ (logs[1:] - middle).square()).sqrt()
         best = 1 + int(within.argmax())
-        missed = replace(
-            tried[best], scale=tried[best].scale * math.exp(float(middle - logs[best]))
-        )
+        missed = tried[best].scaled(math.exp(float(middle - logs[best])))
         central = law if float(shares[0]) > 0.5 else missed
         return central, NoiseLaws(
             (*laws.laws, missed),
@@ -315,9 +315,9 @@ class NoiseGrid:
         middle = float(shares @ logs)
         if sum(int(c.rows.sum()) for c in self.curves) < self.prior.few:
             raised = math.exp(max(0.0, float(self.log_sd(self.prior.law)) - middle))
-            laws = [replace(law, scale=law.scale * raised) for law in laws]
+            laws = [law.scaled(raised) for law in laws]
         best = int(shares.argmax())
-        central = replace(laws[best], scale=laws[best].scale * math.exp(middle - float(logs[best])))
+        central = laws[best].scaled(math.exp(middle - float(logs[best])))
         return central, NoiseLaws(tuple(laws), shares, spreads.sqrt())
 
 
@@ -338,8 +338,8 @@ def _deviations(
         (amount, max(lag, 2.5 * float(spacing)))
         for amount, lag in itertools.product(prior.amounts, prior.durations)
     ]
-    share = (1.0 - prior.none) / len(smooth)
-    return [(0.0, 1.0, prior.none), *((amount, lag, share) for amount, lag in smooth)]
+    shares = split_probability(prior.none, len(smooth))
+    return [(*one, share) for one, share in zip([(0.0, 1.0), *smooth], shares, strict=True)]
 
 
 def _balance_law(law: Noise, balance: float) -> tuple[float, float]:

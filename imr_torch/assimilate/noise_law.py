@@ -32,7 +32,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate.forward import Point
-from imr_torch.assimilate.gauss_newton import NormalEquations, make_definite
+from imr_torch.assimilate.gauss_newton import NormalEquations, half_log_det, make_definite
 from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.float64 import arange, eye, ones, tensor, zeros
 from imr_torch.observe import ExperimentBatch, Noise, NoiseLaws
@@ -113,7 +113,7 @@ class LocalNoise:
             - 0.5 * (gel.square().sum() + self.point.nuisances.square().sum())
             + 0.5 * (pull.square() / spread - spread.log()).sum((-2, -1))
             + 0.5 * white.square().sum((-2, -1))
-            - chol.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+            - half_log_det(chol)
         )
 
     @cached_property
@@ -167,7 +167,7 @@ def best_scales(
     )
     width = torch.full_like(centre, 1.0)
     for half in halves:
-        tried = centre[:, None] + torch.tensor([-half, 0.0, half]).double()
+        tried = centre[:, None] + tensor([-half, 0.0, half])
         low, middle, high = torch.stack([fit.marginal(tried) for fit in fits]).sum(0).unbind(1)
         slope = (high - low) / (2.0 * half)
         bend = (2.0 * middle - low - high) / half**2
@@ -175,6 +175,21 @@ def best_scales(
         centre = centre + (slope / bend).clamp(-1.0, 1.0)
         width = bend.rsqrt()
     return centre, width
+
+
+def sum_marginals(fits: Sequence[LocalNoise], log_scales: Tensor) -> Tensor:
+    """Log marginal likelihood of all fits at a log scale of each law: two ``J`` tensors."""
+    return torch.stack([fit.marginal(log_scales[:, None])[:, 0] for fit in fits]).sum(0)
+
+
+def split_probability(first: float, others: int) -> list[float]:
+    """Prior probabilities of the first of several possibilities, and of others that are alike.
+
+    >>> from imr_torch.assimilate.noise_law import split_probability
+    >>> split_probability(0.5, 2)
+    [0.5, 0.25, 0.25]
+    """
+    return [first, *[(1.0 - first) / others] * others]
 
 
 def interval_factor(fits: Sequence[Neighbourhood], law: Noise) -> float:
@@ -187,10 +202,8 @@ def interval_factor(fits: Sequence[Neighbourhood], law: Noise) -> float:
     laws = [replace(law, correlation_time=time) for time in (0.0, *CORRELATION_TIMES)]
     local = [LocalNoise.of(near, laws) for near in fits]
     log_scales, _ = best_scales(local)
-    value = torch.stack([one.marginal(log_scales[:, None])[:, 0] for one in local]).sum(0)
-    value[0] += math.log(INDEPENDENT)
-    value[1:] += math.log((1.0 - INDEPENDENT) / len(CORRELATION_TIMES))
-    best = int(value.argmax())
+    shares = split_probability(INDEPENDENT, len(CORRELATION_TIMES))
+    best = int((sum_marginals(local, log_scales) + tensor(shares).log()).argmax())
     if best == 0:
         return 1.0
     drifting = replace(laws[best], scale=math.exp(float(log_scales[best])))
@@ -245,8 +258,9 @@ def law_of_repeats(batches: Sequence[ExperimentBatch], law: Noise) -> tuple[Nois
     sizes = sum(float(batch.sizes.sum()) for batch in batches)
     best = -math.inf
     found = law
-    for time in (0.0, *(() if gaps else CORRELATION_TIMES)):
-        share = INDEPENDENT if time == 0.0 else (1.0 - INDEPENDENT) / len(CORRELATION_TIMES)
+    shares = split_probability(INDEPENDENT, len(CORRELATION_TIMES))
+    times = (0.0, *(() if gaps else CORRELATION_TIMES))
+    for time, share in zip(times, shares, strict=False):
         laws = [
             replace(law, scale=1.0, floor=ratio * law.floor, correlation_time=time, widened=1.0)
             for ratio in _FLOORS
@@ -330,10 +344,7 @@ class NoiseNodes:
     def law_at(self, node: int) -> Noise:
         """One of the laws, numbered law by law."""
         law, number = divmod(node, self.scales)
-        return replace(
-            self.laws[law],
-            scale=self.laws[law].scale * math.exp(float(self.log_factors[law, number])),
-        )
+        return self.laws[law].scaled(math.exp(float(self.log_factors[law, number])))
 
     def log_likelihood(
         self,

@@ -6,7 +6,7 @@ The type of the settings selects the method.
 import math
 from dataclasses import dataclass, field
 
-from imr_torch.errors import InputDataError
+from imr_torch.errors import InputDataError, check_at_least
 
 
 @dataclass(frozen=True)
@@ -16,15 +16,12 @@ class CheckedOptions:
     >>> from imr_torch.assimilate import DescentOptions
     >>> DescentOptions(reach=-1.0)
     Traceback (most recent call last):
-    imr_torch.errors.InputDataError: DescentOptions.reach is -1.0; expected a number of at least 0.
+    imr_torch.errors.InputDataError: DescentOptions.reach is -1.0; expected at least 0.
     """
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if isinstance(value, int | float) and not value >= 0.0:
-                raise InputDataError(
-                    f"{type(self).__name__}.{name} is {value}; expected a number of at least 0."
-                )
+        numbers = (name for name, value in vars(self).items() if isinstance(value, int | float))
+        check_at_least(self, 0, *numbers)
 
 
 @dataclass(frozen=True)
@@ -116,14 +113,8 @@ class SearchOptions:
                 f"SearchOptions needs 2 <= starts <= raw_samples, got {self.starts} and "
                 f"{self.raw_samples}."
             )
-        if self.basin_rounds < 0:
-            raise InputDataError(
-                f"SearchOptions.basin_rounds is {self.basin_rounds}; expected 0 or more."
-            )
-        if self.iterations < 1:
-            raise InputDataError(
-                f"SearchOptions.iterations is {self.iterations}; expected at least 1."
-            )
+        check_at_least(self, 0, "basin_rounds")
+        check_at_least(self, 1, "iterations")
 
 
 @dataclass(frozen=True)
@@ -239,11 +230,7 @@ class En4DVarOptions:
             raise InputDataError(
                 f"En4DVarOptions.members is {self.members}; expected an even number of at least 8."
             )
-        if self.iterations < 1 or self.cycles < 1:
-            raise InputDataError(
-                f"En4DVarOptions has iterations {self.iterations} and cycles {self.cycles}; "
-                "expected at least 1 of each."
-            )
+        check_at_least(self, 1, "iterations", "cycles")
         if not 0.0 <= self.relaxation <= 1.0:
             raise InputDataError(
                 f"En4DVarOptions.relaxation is {self.relaxation}; expected a share in [0, 1]."

@@ -13,8 +13,9 @@ import torch
 from jaxtyping import Float, Real
 from torch import Tensor
 
-from imr_torch.assimilate.importance import effective_size
-from imr_torch.float64 import randn, tensor
+from imr_torch.assimilate.gauss_newton import half_log_det
+from imr_torch.assimilate.importance import effective_size, weighted_moments
+from imr_torch.float64 import ones, randn, tensor
 from imr_torch.types import ControlMatrix, Controls, DrawnControls, DrawnValues, Values
 
 
@@ -47,7 +48,7 @@ class Kernels:
     @classmethod
     def about_mean(cls, mean: Controls, chol: ControlMatrix) -> "Kernels":
         """A single kernel about ``mean`` (``d``) with scale ``chol`` (``d x d``)."""
-        return cls(mean[None], torch.ones(1, dtype=mean.dtype), chol[None], mean, chol)
+        return cls(mean[None], ones(1), chol[None], mean, chol)
 
     @classmethod
     def through_draws(
@@ -73,10 +74,8 @@ class Kernels:
         """
         size = points.shape[1]
         weights, power = _temper_weights(log_weights, 10.0 * (size + 1))
-        mean = weights @ points
-        deviation = points - mean
-        chol = torch.linalg.cholesky((weights[:, None] * deviation).mT @ deviation)
-        chol = min(power**-0.5, widest) * chol
+        mean, covariance = weighted_moments(points, weights)
+        chol = min(power**-0.5, widest) * torch.linalg.cholesky(covariance)
         effective = float(effective_size(weights))
         width = (4.0 / ((size + 2) * effective)) ** (1.0 / (size + 4))
         kept = weights > 0.0
@@ -118,7 +117,7 @@ class Kernels:
 
     def log_prob(self, points: DrawnControls, *, pairs: int = 1_000_000) -> DrawnValues:
         """Log density at ``n x d`` points: ``n`` tensor; so many pairs with kernels at once."""
-        heights = self.weights.log() - self.chols.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+        heights = self.weights.log() - half_log_det(self.chols)
         whiten = torch.linalg.inv(self.chols)
         rows = []
         for some in points.split(max(1, pairs // len(self.centres))):

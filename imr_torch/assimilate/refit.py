@@ -92,6 +92,7 @@ def fit_lower_minimum(
         return None
     if progress:
         progress(
-            f"{fit.model}: draws found a minimum that is {fit.cost - found.cost:.1f} nats lower"
+            f"{fit.prior.material.title}: draws found a minimum that is "
+            f"{fit.cost - found.cost:.1f} nats lower"
         )
     return found

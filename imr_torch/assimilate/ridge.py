@@ -22,6 +22,7 @@ from torch.nn.functional import normalize
 
 from imr_torch.assimilate.fit import ModelFit
 from imr_torch.assimilate.forward import Point
+from imr_torch.assimilate.importance import weighted_moments
 from imr_torch.assimilate.options import CheckedOptions
 from imr_torch.assimilate.posterior import Posterior
 from imr_torch.assimilate.proposals import Kernels
@@ -205,10 +206,8 @@ def _place_kernels(points: list[_RidgePoint], options: RidgeOptions) -> Kernels:
     weights = torch.softmax(
         0.5 * torch.linalg.slogdet(inside).logabsdet + spacing.log() - cost, dim=0
     )
-    mean = weights @ gels
-    apart = gels - mean
-    covariance = (weights * apart.mT) @ apart + (weights[:, None, None] * flat).sum(0)
-    chol = torch.linalg.cholesky(covariance)
+    mean, along = weighted_moments(gels, weights)
+    chol = torch.linalg.cholesky(along + (weights[:, None, None] * flat).sum(0))
     kernels = Kernels(gels, weights, chols, mean, chol, precisions=hessian)
     return kernels.with_wide_kernel(options.wide_share)
 

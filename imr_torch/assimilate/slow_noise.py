@@ -18,6 +18,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.distributions import MultivariateNormal
 
+from imr_torch.assimilate.gauss_newton import half_log_det
 from imr_torch.assimilate.matern import MATERN, matern_whitened
 from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.float64 import eye, tensor
@@ -211,7 +212,7 @@ class BesideSlowNoise:
     @cached_property
     def _of_laws(self) -> Float[Tensor, "laws"]:
         explained = self._moments.square().sum((1, 2)) - self.residual.square().sum(1)
-        roots = self._inverse_root.diagonal(dim1=1, dim2=2).log().sum(1)
+        roots = half_log_det(self._inverse_root)
         return self.log_norm + 0.5 * explained + roots
 
 

@@ -170,7 +170,7 @@ def weigh(
             state.fit = replace(state.fit, sample=sample)
             drawn += 1
             if progress:
-                model = state.fit.model
+                model = state.fit.prior.material.title
                 text = f"draws: {model}, round {number}, {state.fit.trust}"
                 progress(ProgressLine(text, stage="draws", step=model, done=drawn, of=expected))
         _fit_again(waiting, states, options, child(seed, "refit", number), progress)
@@ -243,7 +243,7 @@ def _is_bent(state: _State, controls: DrawnControls, options: WeighingOptions) -
     """Whether draws of the fit's Gaussian lose much (median) where their nuisances are moved
     linearly with the gel.
     """
-    if not bool((state.posterior.batch.nuisance_sds > 0.0).any()):
+    if not len(state.posterior.uncertain):
         return False
     linear = Point(controls, state.fit.nuisances_at(controls))
     placed, chol = state.posterior.fit_nuisances(linear, beside=state.fit.point)
@@ -275,7 +275,7 @@ def _draw_round(state: _State, samples: int, seed: int, options: WeighingOptions
     """
     fit = state.fit
     number = len(state.parts)
-    sure = not bool((state.posterior.batch.nuisance_sds > 0.0).any())
+    sure = not len(state.posterior.uncertain)
     samples *= 2 ** max(0, number - (1 if sure else 2))
     source = generator(child(seed, "weigh", fit.model, state.drawn))
     controls = state.proposals[-1].draw_points(samples, source)

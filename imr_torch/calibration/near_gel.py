@@ -228,14 +228,14 @@ def _draw_law(batch: ExperimentBatch, source: torch.Generator) -> Noise:
         return batch.noise
     row = int(torch.multinomial(laws.weights, 1, generator=source))
     factor = float(torch.exp(laws.log_scale_sds[row] * randn(1, generator=source)))
-    return replace(laws.laws[row], scale=laws.laws[row].scale * factor)
+    return laws.laws[row].scaled(factor)
 
 
 def _shoot_again(
     experiment: Experiment, clean: FrameValues, law: Noise, source: torch.Generator
 ) -> Experiment:
     """Curves like those of an experiment, of a true curve."""
-    own = replace(law, scale=law.scale * experiment.noise_factor)
+    own = law.scaled(experiment.noise_factor)
     radius = own.draw(clean, experiment.times, experiment.repeats, generator=source)
     label = f"{experiment.label}, simulated"
     return replace(

@@ -14,7 +14,7 @@ from imr_torch.assimilate import (
     assimilate_estimating_noise,
     weigh,
 )
-from imr_torch.errors import InputDataError
+from imr_torch.errors import check_at_least
 from imr_torch.files import Document, without_nonfinite
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch, Noise
@@ -146,10 +146,7 @@ class ExactLearner:
     noise_rounds: int = 0
 
     def __post_init__(self) -> None:
-        if self.noise_rounds < 0:
-            raise InputDataError(
-                f"ExactLearner.noise_rounds is {self.noise_rounds}; expected 0 or more."
-            )
+        check_at_least(self, 0, "noise_rounds")
 
     def infer_belief(
         self, observations: Observations, simulator: Simulator, *, progress: Progress = None

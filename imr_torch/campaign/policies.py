@@ -9,8 +9,6 @@ same one. Baselines cost nothing and estimate no gain.
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from botorch.utils.sampling import draw_sobol_samples
-
 from imr_torch.design import (
     DesignSearch,
     DesignSpace,
@@ -20,11 +18,11 @@ from imr_torch.design import (
     Plan,
     search_design,
 )
-from imr_torch.errors import InputDataError
-from imr_torch.float64 import rand, tensor
+from imr_torch.errors import InputDataError, check_at_least
+from imr_torch.float64 import tensor
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch
-from imr_torch.random import child, generator
+from imr_torch.random import child
 from imr_torch.simulate import Simulator, check_designs, coarser
 from imr_torch.types import Design, Designs, Progress
 
@@ -142,8 +140,7 @@ class Optimal:
                 f"Optimal has initial {self.initial} of {self.evaluations} evaluations; expected "
                 "2 <= initial <= evaluations."
             )
-        if self.batch < 1:
-            raise InputDataError(f"Optimal.batch is {self.batch}; expected at least 1.")
+        check_at_least(self, 1, "batch")
 
     def choose_design(self, situation: Situation, *, progress: Progress = None) -> Proposal:
         """See :class:`DesignPolicy`."""
@@ -183,14 +180,14 @@ class Random:
 
     def choose_design(self, situation: Situation, *, progress: Progress = None) -> Proposal:
         """See :class:`DesignPolicy`."""
-        source = generator(child(situation.seed, "random design", situation.number))
-        low, high = situation.space.bounds
-        return Proposal(situation.number, low + (high - low) * rand(2, generator=source))
+        seed = child(situation.seed, "random design", situation.number)
+        return Proposal(situation.number, situation.space.draw_design(seed=seed))
 
 
 @dataclass(frozen=True)
 class SpaceFilling:
-    """Designs of a scrambled Sobol sequence, which leaves no region out and repeats none.
+    """Designs of a scrambled Sobol sequence, which leaves no region out and repeats none; of a
+    list, each of its designs before one is repeated.
 
     >>> from imr_torch import PolytropicSimulator, reference_case
     >>> from imr_torch.campaign import Situation, SpaceFilling
@@ -204,9 +201,10 @@ class SpaceFilling:
 
     def choose_design(self, situation: Situation, *, progress: Progress = None) -> Proposal:
         """See :class:`DesignPolicy`."""
-        seed = child(situation.seed, "space-filling") % 2**31
-        points = draw_sobol_samples(situation.space.bounds, n=situation.number, q=1, seed=seed)
-        return Proposal(situation.number, points[-1, 0])
+        number = situation.number
+        seed = child(situation.seed, "space-filling")
+        designs = situation.space.spread_designs(number, seed=seed)
+        return Proposal(number, designs[(number - 1) % len(designs)])
 
 
 @dataclass(frozen=True)

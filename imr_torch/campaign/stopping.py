@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from imr_torch.campaign.learners import Finding
-from imr_torch.errors import InputDataError
+from imr_torch.errors import InputDataError, check_at_least
 from imr_torch.material import PARAMETERS, Belief
 from imr_torch.observe import Experiment
 
@@ -77,8 +77,7 @@ class Designs:
     count: int
 
     def __post_init__(self) -> None:
-        if self.count < 1:
-            raise InputDataError(f"Designs.count is {self.count}; expected at least 1.")
+        check_at_least(self, 1, "count")
 
     def find_reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
@@ -121,8 +120,8 @@ class RelativeSd:
         if not (all(known) if self.name is None else reached.get(self.name)):
             return None
         return (
-            f"{self.name or 'every parameter'} of {best.model} is known within {100 * self.below:g} % (one "
-            "standard deviation)"
+            f"{self.name or 'every parameter'} of {best.material.title} is known within "
+            f"{100 * self.below:g} % (one standard deviation)"
         )
 
 
@@ -154,14 +153,15 @@ class ModelProbability(_Above):
     >>> from imr_torch import wide_prior
     >>> from imr_torch.campaign import ModelProbability, CampaignState
     >>> ModelProbability(above=0.95).find_reason(CampaignState(wide_prior(["nhkv"]), experiments=()))
-    'nhkv has a probability above 0.95'
+    'NHKV has a probability above 0.95'
     """
 
     def find_reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
-        best = state.belief.best.model
-        probable = state.belief.probabilities[best] > self.above
-        return f"{best} has a probability above {self.above:g}" if probable else None
+        best = state.belief.best
+        if state.belief.probabilities[best.model] <= self.above:
+            return None
+        return f"{best.material.title} has a probability above {self.above:g}"
 
 
 @dataclass(frozen=True)

@@ -195,7 +195,7 @@ def list_cautions(result: SavedCharacterization, model: str) -> list[str]:
     >>> from imr_torch.characterization.saved import SavedCharacterization
     >>> gel = SavedCharacterization.from_dict({"belief": wide_prior(["nhkv"]).to_dict(), "models": {"nhkv": {}}})
     >>> list_cautions(gel, "nhkv")[0]
-    'the fit of nhkv to result has not converged'
+    'the fit of NHKV to result has not converged'
     """
     return render("cautions.txt", result=result, model=model).splitlines()
 
@@ -211,6 +211,7 @@ def _log_bayes_factor(
     if a.prior is None or b.prior is None:
         return None, "a result does not hold its prior; characterise the gel again"
     every = len(models) > 1
+    titles = {key: a.posterior[key].material.title for key in models}
     of_a, of_b, before, other = (
         dict(zip(belief.keys, belief.log_probabilities.tolist(), strict=True))
         for belief in (a.posterior, b.posterior, a.prior, b.prior)
@@ -224,8 +225,8 @@ def _log_bayes_factor(
         if not a.prior[key].same_as(b.prior[key]):
             return (
                 None,
-                f"the priors of {key} differ between the two results; characterise both with the "
-                "same one",
+                f"the priors of {titles[key]} differ between the two results; characterise both "
+                "with the same one",
             )
         weight = 0.0
         if every:
@@ -236,15 +237,16 @@ def _log_bayes_factor(
         if wrong is not None:
             return (
                 None,
-                f"the posterior of {key} from {wrong.source} is not Gaussian by its weighted draws",
+                f"the posterior of {titles[key]} from {wrong.source} is not Gaussian by its "
+                "weighted draws",
             )
         factor = _gaussian_factor(a.posterior[key], b.posterior[key], a.prior[key])
         if factor is None:
-            return None, f"a posterior of {key} is hardly narrower than its prior"
+            return None, f"a posterior of {titles[key]} is hardly narrower than its prior"
         terms.append(weight + factor)
     if not terms:
         return None, "no model is probable for both gels"
-    about = f"over {', '.join(models)}" if every else f"within {models[0]}"
+    about = f"{'over' if every else 'within'} {', '.join(titles.values())}"
     return float(torch.logsumexp(tensor(terms), 0)), about
 
 

@@ -7,7 +7,7 @@ Posterior and evidence integrate over the noise.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from imr_torch.assimilate import (
@@ -32,6 +32,7 @@ from imr_torch.observe import (
     ExperimentBatch,
     GelMedium,
     Noise,
+    Prepared,
     Statement,
     TraceSet,
     prepare,
@@ -68,6 +69,7 @@ def characterize(
     simulated_gels: int = 0,
     scatter_scale: float = SCALE,
     seed: int = 0,
+    on_prepared: Callable[[Prepared], object] | None = None,
     progress: Progress = None,
 ) -> Characterization:
     """Infer properties and model probabilities from measured curves of one gel.
@@ -113,6 +115,7 @@ def characterize(
             characterisation by one model.
         scatter_scale: of the half-normal prior of the scatters between curves.
         seed: of everything random.
+        on_prepared: called with the curves as they will be fitted, before the first fit.
         progress: called with one line per step.
 
     Raises:
@@ -163,6 +166,8 @@ def characterize(
     prepared = prepare(
         traces, surroundings, collapses=collapses, rest_radius=rest_radius, growth=growth
     )
+    if on_prepared:
+        on_prepared(prepared)
     record = describe_record(
         traces, surroundings, options=RecordOptions() if weigh_odd_shots else ALL_ALIKE
     )

@@ -22,11 +22,11 @@ from imr_torch.files import write_bytes
 from imr_torch.material import ModelBelief
 from imr_torch.observe import (
     CollapseShot,
+    Prepared,
     TraceSet,
     find_files,
     load_collapse_times,
     load_traces,
-    prepare,
 )
 from imr_torch.population import SCALE
 from imr_torch.progress import ProgressLine
@@ -47,16 +47,12 @@ def run_command(args: Namespace) -> None:
         )
     print("\n".join(read))
     simulator, prior, medium = with_medium(args, prior_of(args), traces, shots)
-    prepared = prepare(
-        traces,
-        simulator.conditions.surroundings,
-        collapses=args.collapses,
-        rest_radius=args.rest_radius,
-        growth=args.growth,
-    )
-    if len(traces):
-        read.append(prepared.report(frames=False))
-        print(read[-1])
+
+    def show_prepared(prepared: Prepared) -> None:
+        if len(traces):
+            read.append(prepared.report(frames=False))
+            print(read[-1])
+
     rounds = NOISE_ROUNDS if args.noise == "estimated" else 0
     drawn = bool(args.out or args.html)
     gels = args.simulated_gels or 0
@@ -79,6 +75,7 @@ def run_command(args: Namespace) -> None:
         over_time=args.over_time,
         simulated_gels=gels,
         seed=args.seed,
+        on_prepared=show_prepared,
         progress=args.terminal.plan_stages(stages),
     )
     command = diagnose_command(args, result.posterior.best)

@@ -23,7 +23,6 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from imr_torch.design.response import Shot
-from imr_torch.errors import InputDataError
 from imr_torch.float64 import tensor, zeros
 
 Target = Literal["parameters", "model", "both"]
@@ -200,18 +199,3 @@ class InformationEstimator(ABC):
             shot: belief, designs, simulator and how the designs are observed.
             generator: of all random numbers; the same state must give the same estimate.
         """
-
-
-def check_at_least(estimator: object, least: int, *names: str) -> None:
-    """Raise unless the named integer fields of an estimator are large enough, or None.
-
-    Raises:
-        InputDataError: naming the field, its value and what is needed.
-    """
-    for name in names:
-        value = getattr(estimator, name)
-        if value is not None and value < least:
-            why = f"expected {least} or more"
-            if least == 2:
-                why = "at least 2 are needed for an error estimate"
-            raise InputDataError(f"{type(estimator).__name__}.{name} is {value}; {why}.")

@@ -25,7 +25,6 @@ from imr_torch.assimilate.options import CheckedOptions
 from imr_torch.design.gain import (
     InformationEstimator,
     InformationGain,
-    check_at_least,
     combine_models,
 )
 from imr_torch.design.likelihood import (
@@ -37,7 +36,8 @@ from imr_torch.design.likelihood import (
     simulate_gels,
 )
 from imr_torch.design.response import Response, Shot, simulate_response
-from imr_torch.float64 import ones
+from imr_torch.errors import check_at_least
+from imr_torch.float64 import eye, ones
 from imr_torch.material import ModelBelief
 from imr_torch.types import BatchControlMatrix, DatasetValues, DrawnControls, DrawnValues
 
@@ -179,7 +179,7 @@ def local_precision(part: ModelBelief, controls: DrawnControls) -> BatchControlM
         controls: of the gels.
     """
     if part.cloud is None:
-        return torch.eye(controls.shape[1], dtype=controls.dtype).expand(len(controls), -1, -1)
+        return eye(controls.shape[1]).expand(len(controls), -1, -1)
     closest = torch.cdist(
         part.unwhitened(controls), part.cloud.controls, compute_mode="donot_use_mm_for_euclid_dist"
     ).argmin(1)

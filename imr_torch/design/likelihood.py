@@ -17,9 +17,9 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from imr_torch.assimilate.gauss_newton import NormalEquations, normal_equations
+from imr_torch.assimilate.gauss_newton import NormalEquations, half_log_det, normal_equations
 from imr_torch.design.response import Plan, Response, Rows, Shot, simulate_response
-from imr_torch.float64 import randn
+from imr_torch.float64 import eye, randn
 from imr_torch.types import BatchControlMatrix, BroadcastValues, DrawnControls, DrawnValues
 
 
@@ -163,12 +163,12 @@ class Linear:
     @property
     def information(self) -> DrawnValues:
         """``n`` tensor: ``1/2 log det(1 + J^T C^-1 J)``."""
-        return self.chol.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+        return half_log_det(self.chol)
 
     @property
     def fisher(self) -> BatchControlMatrix:
         """``n x d x d`` tensor ``J^T C^-1 J``, what the data add to the precision."""
-        return self.chol @ self.chol.mT - torch.eye(self.chol.shape[-1], dtype=self.chol.dtype)
+        return self.chol @ self.chol.mT - eye(self.chol.shape[-1])
 
 
 def infer_linear(data: Data, at: Response, plan: Plan) -> Linear:

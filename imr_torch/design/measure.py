@@ -205,9 +205,9 @@ def _find_slopes(
 ) -> Float[Tensor, "draws rows controls"]:
     """What is to be known at each draw, as functions of the controls: ``W = slopes^T slopes``."""
     if not factors:
-        return torch.eye(drawn.shape[1], dtype=drawn.dtype).expand(len(drawn), -1, -1)
+        return eye(drawn.shape[1]).expand(len(drawn), -1, -1)
     columns = [part.names.index(name) for name in factors]
-    by = torch.tensor([*factors.values()], dtype=drawn.dtype)
+    by = tensor([*factors.values()])
 
     def add_logarithms(controls: Tensor) -> Tensor:
         return (part.physical(part.unwhitened(controls))[:, columns].log() @ by).sum()

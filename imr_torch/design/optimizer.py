@@ -17,7 +17,7 @@ from botorch.models import SingleTaskGP
 from botorch.models.transforms import Normalize, Standardize
 from botorch.models.utils.gpytorch_modules import get_matern_kernel_with_gamma_prior
 from botorch.optim import optimize_acqf, optimize_acqf_discrete
-from botorch.utils.sampling import draw_sobol_samples, manual_seed
+from botorch.utils.sampling import manual_seed
 from gpytorch.mlls import ExactMarginalLogLikelihood
 from jaxtyping import Real
 from torch import Tensor
@@ -25,7 +25,7 @@ from torch import Tensor
 from imr_torch.design.space import DesignSpace
 from imr_torch.errors import InputDataError
 from imr_torch.float64 import zeros
-from imr_torch.random import child, generator
+from imr_torch.random import child
 from imr_torch.types import Design, Designs
 
 
@@ -84,8 +84,8 @@ class DesignOptimizer:
         self.train_Yvar = zeros(0, 1)
 
     def ask(self, q: int = 1, *, pending: Real[Tensor, "pending 2"] | None = None) -> Designs:
-        """The next ``q x 2`` designs to evaluate: Sobol points (of a list, any) first, then maxima of
-        the acquisition.
+        """The next ``q x 2`` designs to evaluate: space-filling ones first, then maxima of the
+        acquisition.
 
         Args:
             q: how many.
@@ -96,13 +96,7 @@ class DesignOptimizer:
         self.space.check_inside(waiting)
         done = len(self.train_X) + len(waiting)
         if done < self.initial or len(self.train_X) < 2:
-            if self.space.listed is not None:
-                order = torch.randperm(len(self.space.listed), generator=generator(self.seed))
-                return self.space.listed[order[done : done + q]]
-            points = draw_sobol_samples(
-                self.space.bounds, n=done + q, q=1, seed=child(self.seed, "sobol") % 2**31
-            )
-            return points[done:, 0]
+            return self.space.spread_designs(done + q, seed=child(self.seed, "sobol"))[done:]
         with manual_seed(child(self.seed, "ask", done)), warnings.catch_warnings():
             warnings.simplefilter("ignore", NumericsWarning)
             # BoTorch tries again

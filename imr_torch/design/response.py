@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from imr_torch.assimilate import ForwardModel, Point
-from imr_torch.errors import InputDataError
+from imr_torch.errors import check_at_least
 from imr_torch.float64 import linspace
 from imr_torch.material import Belief, ModelBelief
 from imr_torch.observe import Experiment, Film, Noise, Nuisance, collapse_time
@@ -50,14 +50,8 @@ class Plan:
     collapses: int | None = 2
 
     def __post_init__(self) -> None:
-        if self.repeats < 1:
-            raise InputDataError(
-                f"Plan.repeats is {self.repeats}; at least 1 curve per design is needed."
-            )
-        if self.collapses is not None and self.collapses < 1:
-            raise InputDataError(
-                f"Plan.collapses is {self.collapses}; expected at least 1, or None for all frames."
-            )
+        check_at_least(self, 1, "repeats")
+        check_at_least(self, 1, "collapses", note=", or None for all frames")
 
     @cached_property
     def decorrelation(self) -> Float[Tensor, "frames frames"] | None:

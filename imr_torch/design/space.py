@@ -4,11 +4,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from botorch.utils.sampling import draw_sobol_samples
 from jaxtyping import Float, Real
 from torch import Tensor
 
 from imr_torch.errors import InputDataError, ShapeError
-from imr_torch.float64 import tensor
+from imr_torch.float64 import rand, tensor
+from imr_torch.random import generator
 from imr_torch.reading.load import read_contents
 from imr_torch.types import Design, Designs, Values
 from imr_torch.units import Surroundings
@@ -52,6 +54,15 @@ class DesignSpace:
     def listed(self) -> Designs | None:
         """The designs (``n x 2``) that alone can be set; None where all can."""
         return None
+
+    def draw_design(self, *, seed: int) -> Design:
+        """One of the designs, all equally probable."""
+        low, high = self.bounds
+        return torch.lerp(low, high, rand(2, generator=generator(seed)))
+
+    def spread_designs(self, count: int, *, seed: int) -> Designs:
+        """So many designs that leave no region out: the first of a scrambled Sobol sequence."""
+        return draw_sobol_samples(self.bounds, n=count, q=1, seed=seed % 2**31)[:, 0]
 
     def cost(self, designs: Designs) -> Values:
         """Cost of a shot at each design (``n x 2``), ``n``, over that of an ordinary one."""
@@ -102,6 +113,18 @@ class ListedDesigns(DesignSpace):
     def listed(self) -> Designs:
         """The designs (``n x 2``)."""
         return tensor(self.rows)[:, :2]
+
+    def draw_design(self, *, seed: int) -> Design:
+        """One of the list, all equally probable."""
+        return self.spread_designs(1, seed=seed)[0]
+
+    def spread_designs(self, count: int, *, seed: int) -> Designs:
+        """So many of the list, or all: a random one, then always the farthest from those before."""
+        unit = self.listed / self.bounds.diff(dim=0)
+        order = [int(torch.randint(len(unit), (), generator=generator(seed)))]
+        while len(order) < min(count, len(unit)):
+            order.append(int(torch.cdist(unit, unit[order]).amin(1).argmax()))
+        return self.listed[order]
 
     def cost(self, designs: Designs) -> Values:
         """Cost of a shot at each design (``n x 2``), as of the nearest that is listed."""

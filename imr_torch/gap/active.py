@@ -14,7 +14,7 @@ import torch
 
 from imr_torch.campaign import Finding, Inference, Observations, Proposal, Situation, SpaceFilling
 from imr_torch.campaign.journal import curve_hash
-from imr_torch.errors import ConvergenceError, InputDataError
+from imr_torch.errors import ConvergenceError, InputDataError, check_at_least
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport, diagnose
 from imr_torch.gap.identity_design import identity_design
@@ -53,8 +53,7 @@ class CauseLearner:
 
     def __post_init__(self) -> None:
         library(self.effects or None)
-        if self.most < 1:
-            raise InputDataError(f"CauseLearner.most is {self.most}; expected at least 1 effect.")
+        check_at_least(self, 1, "most")
 
     def infer_belief(
         self, observations: Observations, simulator: Simulator, *, progress: Progress = None

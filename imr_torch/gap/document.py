@@ -6,8 +6,12 @@ with sentences; the page shows the same list.
 """
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
+from operator import attrgetter
 from statistics import median
+from typing import Any
 
 import torch
 
@@ -71,7 +75,6 @@ def to_json(
     parts = parts or Parts()
     base = report.base
     test = report.gap
-    when = parts.onset
     # the base model and what leads each step of the selection
     leading = {"none": report.null} | {step.winner.name: step.winner_fit for step in report.steps}
     document = {
@@ -79,8 +82,8 @@ def to_json(
         "verdict": report.verdict,
         "cause": list(report.cause),
         "reason": report.reason,
-        "members": report.choice and report.choice.members,
-        "expected_loss": report.choice and report.choice.loss,
+        "members": _read(report.choice, attrgetter("members")),
+        "expected_loss": _read(report.choice, attrgetter("loss")),
         "converged": report.converged,
         "null_usable": report.null.certificate.usable,
         "model": {"key": base.model, "title": base.material.title, "known": dict(base.known)},
@@ -91,15 +94,15 @@ def to_json(
         "tests": [
             vars(b) | {"power": None if math.isnan(b.power) else b.power} for b in test.blocks
         ],
-        **_causes(report.attribution),
+        **{name: _read(report.attribution, read) for name, read in _CAUSES.items()},
         "selected": list(report.selected.parts),
         "adequacy_p": report.adequacy_p,
         **_values(report, parts),
         "hidden": list(map(vars, parts.hidden)),
-        "onset": when and vars(when) | {"sentence": str(when)},
-        "shrinkage": parts.shrinkage and _shrinkage(parts.shrinkage, report),
-        "next_design": parts.next_design and _design(parts.next_design),
-        "missing": parts.unknown and _missing(parts.unknown),
+        "onset": _read(parts.onset, lambda when: vars(when) | {"sentence": str(when)}),
+        "shrinkage": _read(parts.shrinkage, partial(_shrinkage, report=report)),
+        "next_design": _read(parts.next_design, _design),
+        "missing": _read(parts.unknown, _missing),
         "examined": parts.onset is not None,
         "phase_residual": {"phases": PHASES, "rows": _phase_residual(report.null, report.batch)},
         "curves": _curves(report, simulator),
@@ -116,27 +119,33 @@ def to_json(
     }
 
 
-def _causes(found: Attribution | None) -> Document:
-    """Probabilities and evidence of all causes; null without an attribution."""
-    like = found and found.likeness
+def _read(part: object, read: Callable[[Any], object]) -> object:
+    """What is read from a part of a diagnosis; None where it was not run."""
+    return None if part is None else read(part)
+
+
+def _read_unknown(found: Attribution) -> Document:
+    """The probability that an unknown effect looks like a known one."""
+    like = found.likeness
     return {
-        "leading": found and found.winner.name,
-        "posterior": found and found.posterior,
-        "explained_nats": found and found.explained,
-        "unconverged": found and list(found.unconverged),
-        "given_up": found and list(found.given_up),
-        "unknown": found
-        and like
-        and {
-            "size_sd": like.size,
-            "chance_look_alike": like.chance,
-            "standard_error": like.error,
-            "bayes_factor": like.bayes_factor(found.adequacy.p_value),
-        },
-        "evidence_checks": found and {name: vars(own) for name, own in found.checked.items()},
-        "credible_set": found and list(found.credible_set()),
-        "leading_adequacy_p": found and found.adequacy.p_value,
+        "size_sd": like.size,
+        "chance_look_alike": like.chance,
+        "standard_error": like.error,
+        "bayes_factor": like.bayes_factor(found.adequacy.p_value),
     }
+
+
+_CAUSES: Mapping[str, Callable[[Attribution], object]] = {
+    "leading": attrgetter("winner.name"),
+    "posterior": attrgetter("posterior"),
+    "explained_nats": attrgetter("explained"),
+    "unconverged": lambda found: list(found.unconverged),
+    "given_up": lambda found: list(found.given_up),
+    "unknown": _read_unknown,
+    "evidence_checks": lambda found: {name: vars(own) for name, own in found.checked.items()},
+    "credible_set": lambda found: list(found.credible_set()),
+    "leading_adequacy_p": attrgetter("adequacy.p_value"),
+}  # probabilities and evidence of all causes
 
 
 def _values(report: GapReport, parts: Parts) -> Document:
@@ -144,18 +153,18 @@ def _values(report: GapReport, parts: Parts) -> Document:
     within = report.within_misfit
     named = report.selected_fit if report.verdict in ("effect", "class") else None
     nearest = report.selected_fit if within and report.selected.parts else named
-    error = parts.model_error
     base = intervals((within.own if within else report.null).posterior)
-    beside = nearest and intervals(nearest.posterior)
-    with_cause = beside and {name: beside[name] for name in base}
+    shift = None
+    if nearest is not None:
+        beside = intervals(nearest.posterior)
+        shift = {n: {"base": own, "with_cause": beside[n]} for n, own in base.items()}
     return {
-        "parameters": with_cause if named and with_cause else base,
+        "parameters": {n: x["with_cause"] for n, x in shift.items()} if named and shift else base,
         "widened": within is not None,
-        "parameters_with_model_error": error and error.intervals,
-        "parameter_bound_sd": error and error.bound,
-        "parameter_shift": with_cause
-        and {n: {"base": base[n], "with_cause": with_cause[n]} for n in base},
-        "cause_values": named and _cause_values(report, named),
+        "parameters_with_model_error": _read(parts.model_error, attrgetter("intervals")),
+        "parameter_bound_sd": _read(parts.model_error, attrgetter("bound")),
+        "parameter_shift": shift,
+        "cause_values": _read(named, partial(_cause_values, report)),
         "gels": gels_of(report.selected_fit, report.selected) or None,
     }
 

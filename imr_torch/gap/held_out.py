@@ -324,9 +324,11 @@ class _Fold:
         fits = {}
         for hypothesis, fit in known:
             beside = _APART * randn(_OPTIONS.starts - 1, len(fit.mean), generator=source)
+            gels = torch.cat((fit.mean[None], fit.mean + beside))
+            nuisances = fit.nuisances[self.kept].expand(len(gels), -1, -1)
             fits[hypothesis.name] = assimilate_model(
                 Posterior(fit.prior, hypothesis.seen(self.training), self.simulator),
-                Point(torch.cat((fit.mean[None], fit.mean + beside)), fit.nuisances[self.kept]),
+                Point(gels, nuisances),
                 seed=seed,
                 options=_OPTIONS,
             )
@@ -355,7 +357,7 @@ def held_out(
         hypothesis,
         line.residual[:data],
         line.fitted[:data, size:],
-        nuisances[0, (batch.nuisance_sds > 0.0).any(0)],
+        nuisances[0, posterior.uncertain],
         line.fitted[:data, :size],
         line,
         fit.certificate.converged,

@@ -48,7 +48,7 @@ from imr_torch.material import Effect
 from imr_torch.material.model_belief import LEVELS
 from imr_torch.random import child, generator
 from imr_torch.types import DrawnControls
-from imr_torch.unknown.infer import LinearSystem, Refit
+from imr_torch.unknown.linear import LinearSystem, Refit
 
 FOUND = 0.9
 """Chance with which the size that is said would have been found."""

@@ -20,6 +20,7 @@ from imr_torch.goodness.linear import Linearisation, linearise_fit, whiten_rows
 from imr_torch.goodness.phases import phase_clock, phase_name
 from imr_torch.goodness.score import LEVEL, gap_test, generic_blocks
 from imr_torch.labels import p_value
+from imr_torch.material import material
 from imr_torch.observe import ExperimentBatch, Noise
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
@@ -49,7 +50,7 @@ class FitTest:
 
     >>> from imr_torch.goodness import FitTest
     >>> FitTest("nhkv", 0.31).sentence()
-    'Fit: the model explains the curves within their noise (p = 0.31, nhkv).'
+    'Fit: the model explains the curves within their noise (p = 0.31, NHKV).'
     """
 
     model: str
@@ -73,19 +74,16 @@ class FitTest:
         """The result in one sentence; ``command`` is what to try after a misfit."""
         if self.p_value is None:
             return f"Not tested whether the model explains the curves: {self.reason}"
+        tested = f"{p_value(self.p_value)}, {material(self.model).title}"
         if self.explained:
-            return (
-                f"Fit: the model explains the curves within their noise ({p_value(self.p_value)}, "
-                f"{self.model})."
-            )
+            return f"Fit: the model explains the curves within their noise ({tested})."
         where = (
             f"strongest test: {self.block}; largest residual {self.sigma:+.1f} sd in "
             f"{self.experiment}, {self.phase}, "
             f"t* = {self.time:.2f}"
         )
         return (
-            f"Misfit: the model does not explain the curves ({p_value(self.p_value)}, "
-            f"{self.model}; {where}); do not quote its "
+            f"Misfit: the model does not explain the curves ({tested}; {where}); do not quote its "
             f"intervals before you have tried: {command}"
         )
 
@@ -144,7 +142,8 @@ def check_fit(
         return FitTest(
             fit.model,
             None,
-            reason=f"the fit of {fit.model} did not converge, and such a fit looks like a misfit.",
+            reason=f"the fit of {fit.prior.material.title} did not converge, and such a fit looks "
+            "like a misfit.",
         )
     row, column = divmod(int(left.abs().argmax()), left.shape[1])
     return FitTest(

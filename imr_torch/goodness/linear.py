@@ -43,18 +43,22 @@ class Linearisation:
     sd: ExperimentFrames
     batch: ExperimentBatch
 
-    @cached_property
+    @property
     def basis(self) -> Float[Tensor, "rows fitted"]:
         """``N x k`` orthonormal basis of the fitted directions."""
-        return torch.linalg.qr(self.fitted).Q
+        return self._factors[0]
 
     @cached_property
     def to_shift(self) -> Float[Tensor, "fitted rows"]:
         """``k x N`` matrix that makes, from a residual, the shift of everything fitted in a linear
         refit to it.
         """
-        q, r = torch.linalg.qr(self.fitted)
+        q, r = self._factors
         return torch.linalg.solve_triangular(r, q.mT, upper=True)
+
+    @cached_property
+    def _factors(self) -> tuple[Tensor, Tensor]:
+        return torch.linalg.qr(self.fitted)
 
     def noise_ratios(
         self, count: int, *, generator: torch.Generator

@@ -19,6 +19,7 @@ from torch import Tensor
 from torch.distributions import MultivariateNormal
 
 from imr_torch.errors import InputDataError
+from imr_torch.float64 import eye, zeros
 from imr_torch.material.marginals import Marginal
 from imr_torch.material.models import Material, material
 from imr_torch.material.parameters import PARAMETERS
@@ -295,8 +296,8 @@ def add_parameters(part: ModelBelief, priors: Mapping[str, Marginal]) -> ModelBe
     marginals = dict(zip(part.names, part.marginals, strict=True)) | dict(priors)
     names = tuple(name for name in PARAMETERS.names if name in marginals)
     place = torch.tensor([names.index(name) for name in part.names])
-    mean = torch.zeros(len(names), dtype=part.mean.dtype)
-    chol = torch.eye(len(names), dtype=part.mean.dtype)
+    mean = zeros(len(names))
+    chol = eye(len(names))
     mean[place] = part.mean
     chol[place[:, None], place] = part.chol
     key = "+".join((part.model, *priors))

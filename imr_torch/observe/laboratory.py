@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float, Real
 from torch import Tensor
 
-from imr_torch.errors import ConvergenceError, InputDataError
+from imr_torch.errors import ConvergenceError, check_at_least
 from imr_torch.float64 import linspace, ones, randn, tensor
 from imr_torch.observe.experiments import Experiment, ExperimentBatch
 from imr_torch.observe.noise import Noise
@@ -51,11 +51,7 @@ class SimulatedLaboratory:
     nuisance: Nuisance = field(default_factory=Nuisance)
 
     def __post_init__(self) -> None:
-        if self.repeats < 1:
-            raise InputDataError(
-                f"SimulatedLaboratory.repeats is {self.repeats}; at least 1 curve per design is "
-                "needed."
-            )
+        check_at_least(self, 1, "repeats")
 
     def shoot(self, design: Real[Tensor, "2"], *, seed: int, label: str = "") -> Experiment:
         """One experiment at ``design`` (2 numbers, We and R_inf*).

@@ -96,6 +96,10 @@ class Noise:
         """
         return replace(self.enlarged(1.0 / self.widened), widened=1.0)
 
+    def scaled(self, factor: float) -> "Noise":
+        """The law times a factor."""
+        return replace(self, scale=self.scale * factor)
+
     def enlarged(self, factor: float) -> "Noise":
         """The law enlarged by a factor for what a model misses: all but its part next to collapses."""
         return replace(self, scale=self.scale * factor, kink=self.kink / factor, widened=factor)

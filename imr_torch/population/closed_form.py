@@ -16,7 +16,8 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.distributions import HalfNormal
 
-from imr_torch.float64 import linspace, zeros
+from imr_torch.assimilate.gauss_newton import half_log_det
+from imr_torch.float64 import eye, linspace, zeros
 from imr_torch.material import ModelBelief
 from imr_torch.types import (
     BatchControlMatrix,
@@ -70,18 +71,14 @@ class GaussianShots:
         A = self.precision
         b = self.linear
         root = scatter[:, None, :]
-        inner = torch.eye(A.shape[-1], dtype=A.dtype) + root[..., :, None] * A * root[..., None, :]
+        inner = eye(A.shape[-1]) + root[..., :, None] * A * root[..., None, :]
         chol = torch.linalg.cholesky(inner)  # n x E x d x d
         factor = (
             root[..., :, None] * torch.linalg.inv(chol).mT
         )  # of the covariance of a shot given the centre
         covariance = factor @ factor.mT
         moved = (covariance @ b[..., None])[..., 0]
-        constant = (
-            self.constant
-            - chol.diagonal(dim1=-2, dim2=-1).log().sum(-1)
-            + 0.5 * (b * moved).sum(-1)
-        )
+        constant = self.constant - half_log_det(chol) + 0.5 * (b * moved).sum(-1)
         total = precision + (A - A @ covariance @ A).sum(1)
         slope = precision @ mean + (b - (A @ moved[..., None])[..., 0]).sum(1)
         total_chol = torch.linalg.cholesky(total)
@@ -89,7 +86,7 @@ class GaussianShots:
         evidence = (
             constant.sum(1)
             + 0.5 * (slope * centre).sum(-1)
-            - total_chol.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+            - half_log_det(total_chol)
             + 0.5 * torch.logdet(precision)
             - 0.5 * mean @ precision @ mean
         )

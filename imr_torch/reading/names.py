@@ -281,7 +281,7 @@ def _check_scales(file: object, said: Said, radii: Sequence[Heading], time: Head
         if needed and getattr(said, setting) is None:
             raise InputDataError(
                 f"{file}: radii are in {radius_unit} and times in {time.unit}, and no {setting} is "
-                f"known; write {key} into the JSON file of the same name beside it, "
+                f"known; write {key} once into the JSON file of the same name beside it, "
                 f'or add --layout "{known},{setting}=<{meaning}>".'
             )
 

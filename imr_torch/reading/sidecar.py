@@ -9,8 +9,9 @@ then counts)::
      0.0,
                       "Rinf_m": 4.3e-5, "Rinf_sd_m": 4e-7, "Rinf_settled": true}]}
 
-``exposure_s`` is how long a frame is exposed: predicted radii are averaged over it. ``Rinf_sd_m``
-states R_inf with its standard deviation; ``Rinf_tail_std_m`` is the scatter of the end of the record.
+``pixel_size_m`` turns radii in pixels into metres; all curves of a file have one. ``exposure_s`` is
+how long a frame is exposed: predicted radii are averaged over it. ``Rinf_sd_m`` states R_inf with
+its standard deviation; ``Rinf_tail_std_m`` is the scatter of the end of the record.
 ``override`` holds what a person who looked at the frames states, and counts before everything else,
 the frames included: ``{"override": {"Rmax_m": 2.5e-4, "Rmax_sd_m": 1e-6, "t_Rmax_s": 0.0, "Rinf_m":
 4.3e-5, "Rinf_sd_m": 4e-7, "window_end_s": 6e-5}}``, each field optional; :func:`state` writes it.
@@ -20,6 +21,7 @@ with or without a standard deviation: ``{"name": "water", "temperature": 310, "d
 Other fields are left alone. A file with one curve may have its values at the top.
 """
 
+import math
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -41,11 +43,7 @@ OVERRIDES = {
     "window_end_s": "window_end_s",
 }
 """Fields of ``override`` in the JSON file, and those of :class:`imr_torch.reading.Override`."""
-_OF_CAMERA = {
-    "frame_rate_fps": "frame_rate_hz",
-    "pixel_size_m": "pixel_size_m",
-    "exposure_s": "exposure_s",
-}
+_OF_CAMERA = {"frame_rate_fps": "frame_rate_hz", "exposure_s": "exposure_s"}
 _NUMBERS = {
     "Rinf_tail_std_m": "rest_radius_sd_m",
     **{key: field for key, field in OVERRIDES.items() if key != "window_end_s"},
@@ -131,10 +129,11 @@ class Sidecar:
         """What a layout needs to know of it."""
         top = self._read_numbers(self.top, _NUMBERS, "the file")
         rate = top.get("frame_rate_hz")
-        if rate is not None and not rate > 0.0:
-            raise self._refuse_file(
-                f"frame_rate_fps of the file is {rate}; expected frames per second, above 0"
-            )
+        sizes = {
+            size
+            for place in (self.top, *self.entries.values())
+            for size in self._read_numbers(place, {"pixel_size_m": ""}, "the file").values()
+        }
         medium = self.stated.values if self.stated else {}
         stated: Document = {
             name: medium[name][0] for name in ("density", "pressure") if name in medium
@@ -143,7 +142,7 @@ class Sidecar:
             **self.units,
             **stated,
             frame_interval=None if rate is None else 1.0 / rate,
-            pixel_size=top.get("pixel_size_m"),
+            pixel_size=sizes.pop() if len(sizes) == 1 else None,
             max_radius=None if self.entries else top.get("max_radius_m"),
         )
 
@@ -154,14 +153,15 @@ class Sidecar:
         found = {}
         for key, field in names.items():
             value = entry.get(key)
-            if value is None or (
-                isinstance(value, str) and key in ("frame_rate_fps", "pixel_size_m")
-            ):
+            of_camera = key in ("frame_rate_fps", "pixel_size_m")
+            if value is None or (isinstance(value, str) and of_camera):
                 continue
             if isinstance(value, bool) or not isinstance(value, (int, float)):
                 raise self._refuse_file(
                     f"{key} of {where} is {value!r}; expected a number in SI units, or null"
                 )
+            if of_camera and not 0.0 < value < math.inf:
+                raise self._refuse_file(f"{key} of {where} is {value}; expected one above 0")
             found[field] = float(value)
         return found
 

@@ -92,7 +92,6 @@ class Given:
         rest_settled: whether the bubble has come to rest within the record.
         max_radius_sd_m: standard deviation of the maximum radius in m.
         frame_rate_hz: frames per second.
-        pixel_size_m: metres per pixel.
         exposure_s: exposure of a frame in s.
         medium: what the bubble was in, as text.
         stated: what is stated about the medium's properties.
@@ -113,14 +112,13 @@ class Given:
     rest_settled: bool | None = None
     max_radius_sd_m: float | None = None
     frame_rate_hz: float | None = None
-    pixel_size_m: float | None = None
     exposure_s: float | None = None
     medium: str | None = None
     stated: Statement | None = None
     override: Override | None = None
 
     def __post_init__(self) -> None:
-        lengths = ("max_radius_m", "rest_radius_m", "pixel_size_m")
+        lengths = ("max_radius_m", "rest_radius_m")
         sds = ("rest_radius_sd_m", "max_radius_sd_m")
         for names, fits, expected in (
             (lengths, _is_positive, "a positive length in m"),

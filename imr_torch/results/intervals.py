@@ -163,7 +163,7 @@ def population_figure(found: Document) -> Figure:
         low, middle, high = scale * floats(entry["median"])
         to_come = scale * floats(entry["next_shot"])[[0, 2]]
         ax.axvspan(low, high, color=MODEL, alpha=0.15, lw=0)
-        ax.axvline(middle, color=MODEL, lw=1.2, label="median of the population")
+        ax.axvline(middle, color=MODEL, lw=1.2)
         for end in to_come:
             ax.axvline(end, color=MODEL, ls=":", lw=1.0)
         ends = [low, high, *to_come]

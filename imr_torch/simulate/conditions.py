@@ -11,7 +11,7 @@ from functools import cached_property
 from typing import ClassVar, Literal
 
 from imr_torch.elementary import Law, Scalar, power
-from imr_torch.errors import InputDataError
+from imr_torch.errors import InputDataError, check_at_least
 from imr_torch.simulate.driving import TabulatedDriving
 from imr_torch.simulate.radial import KellerMiksis, RadialEquation
 from imr_torch.units import Surroundings
@@ -127,11 +127,8 @@ class Stepping:
                 f"Stepping.step is {self.step}; expected above 0 and at most 0.5 (0.15 is the "
                 "default)."
             )
-        if self.max_steps < 1 or self.retries < 0:
-            raise InputDataError(
-                f"Stepping needs max_steps >= 1 and retries >= 0, got {self.max_steps} and "
-                f"{self.retries}."
-            )
+        check_at_least(self, 1, "max_steps")
+        check_at_least(self, 0, "retries")
 
 
 STEPPINGS = {

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.elementary import obstacle_of
-from imr_torch.errors import EngineWarning, InputDataError
+from imr_torch.errors import EngineWarning, InputDataError, check_at_least
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.conditions import Conditions
 from imr_torch.simulate.sensitivity import differentiable
@@ -51,15 +51,12 @@ class EngineSimulator:
     member_bytes: ClassVar[int]
 
     def __post_init__(self) -> None:
-        name = type(self).__name__
         if self.engine not in ENGINES:
             raise InputDataError(
-                f"{name}.engine is {self.engine!r}; expected one of {', '.join(ENGINES)}."
+                f"{type(self).__name__}.engine is {self.engine!r}; expected one of "
+                f"{', '.join(ENGINES)}."
             )
-        if self.threads is not None and self.threads < 1:
-            raise InputDataError(
-                f"{name}.threads is {self.threads}; expected at least 1, or None for all cores."
-            )
+        check_at_least(self, 1, "threads", note=", or None for all cores")
 
     def __call__(
         self,

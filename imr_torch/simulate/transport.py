@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 from torchdiffeq import odeint
 
-from imr_torch.errors import InputDataError
+from imr_torch.errors import InputDataError, check_at_least
 from imr_torch.material import StressTerm
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.clock import bracket_times, ends_of, hermite_cubic, hermite_quintic
@@ -55,8 +55,7 @@ class Accuracy:
                 f"Accuracy.tolerance is {self.tolerance}; expected 1e-12 to 0.1 (3e-4 is the "
                 "default)."
             )
-        if self.max_steps < 1:
-            raise InputDataError(f"Accuracy.max_steps is {self.max_steps}; expected at least 1.")
+        check_at_least(self, 1, "max_steps")
 
 
 ACCURACIES = {

@@ -3,10 +3,10 @@
 from imr_torch.unknown.infer import (
     NOTHING_KNOWN,
     MissingPressure,
-    Rival,
     Unknown,
     infer_unknown,
 )
 from imr_torch.unknown.next_shot import choose_shot
+from imr_torch.unknown.search import Rival
 
 __all__ = ["NOTHING_KNOWN", "MissingPressure", "Rival", "Unknown", "choose_shot", "infer_unknown"]

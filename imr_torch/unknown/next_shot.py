@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import torch
 from torch.distributions import MultivariateNormal
 
-from imr_torch.design import DesignOptimizer, DesignSpace, NextDesign, Plan
+from imr_torch.design import DesignSpace, NextDesign, Plan
 from imr_torch.errors import ConvergenceError
 from imr_torch.float64 import eye, ones, randn, tensor, zeros
 from imr_torch.material import ModelBelief
@@ -20,7 +20,8 @@ from imr_torch.observe import Experiment, ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.types import Design, DrawnValues, FrameValues
-from imr_torch.unknown.infer import Rival, Unknown
+from imr_torch.unknown.infer import Unknown
+from imr_torch.unknown.search import Rival
 from imr_torch.unknown.shot import Shot
 
 
@@ -77,8 +78,8 @@ def choose_shot(
     shares = {name: p / total for name, p in shares.items()}
     rivals = [unknown.rivals[name] for name in shares]
     tried = []
-    places = DesignOptimizer(space or DesignSpace(), seed=child(seed, "designs"))
-    for design in places.ask(designs):
+    space = space or DesignSpace()
+    for design in space.spread_designs(designs, seed=child(seed, "designs")):
         shot = plan_shot(design, plan, prior, simulator)
         still = shot.predict(rivals[0].gel, zeros(3), zeros(len(shot.moments)))
         curves = [predict_curve(shot, rival, still) for rival in rivals]

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate import Point, Posterior
-from imr_torch.float64 import arange
+from imr_torch.float64 import arange, ones
 from imr_torch.material import PARAMETERS, TERMS, ModelBelief, dimensionless, gel_response
 from imr_torch.observe import Experiment, ExperimentBatch, predict
 from imr_torch.simulate import Simulator, TabulatedDriving
@@ -222,7 +222,7 @@ class Shot:
     def _path(self, simulator: Simulator, parameters: Tensor, shifts: Tensor) -> Path:
         experiment = self._experiment
         times = arange(0.0, float(experiment.times.max()), _FINE)
-        seen = replace(experiment, times=times, radius=torch.ones(1, len(times)).double())
+        seen = replace(experiment, times=times, radius=ones(1, len(times)))
         fine = replace(self.batch, experiments=(seen,))
         radius = predict(simulator, parameters, fine, shifts)[0]
         velocity = torch.gradient(radius, spacing=(times,))[0]

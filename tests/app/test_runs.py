@@ -289,3 +289,9 @@ def test_that_the_shots_of_a_batch_are_rows_with_numbers_that_can_be_read(tmp_pa
     (folder / "run.json").write_text('{"arguments": ["batch"], "started": "", "status": 0}')
     (result,) = runs(tmp_path).list_results()
     assert result.read_shots() == [{"shot": "a", "curves": 1, "G": 8123.0}]
+
+
+def test_that_fields_of_models_read_no_results():
+    pytest.importorskip("nicegui", reason="the extra 'app' is not installed")
+    view = pytest.importorskip("imr_torch.app.view_run").RunView(None, None, print)
+    assert "nhkv" in view._list_names("models")

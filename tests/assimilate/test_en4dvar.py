@@ -98,7 +98,7 @@ def test_that_its_posterior_agrees_with_the_default_once_weighted(number):
     ("changes", "message"),
     [
         ({"members": 7}, r"En4DVarOptions.members is 7; expected an even number of at least 8"),
-        ({"iterations": 0}, r"iterations 0 and cycles 3; expected at least 1"),
+        ({"iterations": 0}, r"En4DVarOptions.iterations is 0; expected at least 1"),
         ({"relaxation": 1.5}, r"En4DVarOptions.relaxation is 1.5; expected a share in \[0, 1\]"),
     ],
 )

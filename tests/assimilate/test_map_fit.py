@@ -285,7 +285,7 @@ def test_that_a_fit_that_converged_says_so_and_does_not_warn():
 
 
 def test_that_a_fit_that_was_cut_short_warns_and_says_so():
-    with pytest.warns(ConvergenceWarning, match=r"nhkv: NOT CONVERGED \(gradient") as caught:
+    with pytest.warns(ConvergenceWarning, match=r"NHKV: NOT CONVERGED \(gradient") as caught:
         result = fitted(
             prior(("nhkv",)),
             experiments(3),
@@ -321,7 +321,7 @@ def test_that_a_simulator_that_always_fails_is_a_convergence_error():
     [
         (
             {"basin_rounds": -1},
-            r"SearchOptions.basin_rounds is -1; expected 0 or more",
+            r"SearchOptions.basin_rounds is -1; expected at least 0",
         ),
         ({"starts": 5, "raw_samples": 4}, r"2 <= starts <= raw_samples, got 5 and 4"),
         ({"iterations": 0}, r"SearchOptions.iterations is 0; expected at least 1"),

@@ -303,7 +303,7 @@ def test_that_a_fit_above_another_minimum_is_made_again_from_there(right):
     assert mended.sample.log_evidence == pytest.approx(
         truth.log_evidence, abs=5.0 * mended.sample.log_evidence_error
     )
-    assert any(line == "nhkv: draws found a minimum that is 8.0 nats lower" for line in said)
+    assert any(line == "NHKV: draws found a minimum that is 8.0 nats lower" for line in said)
     assert wrong.fits[0].sample is None
 
 

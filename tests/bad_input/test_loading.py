@@ -83,7 +83,7 @@ FILES = {
     "pixels of unknown size": (
         b"t (us),R (px)\n0,100\n1,99\n",
         None,
-        r"bad\.csv: .*no pixel_size is known; write pixel_size_m into the JSON file .*add --layout \"radius=R \(px\),.*,pixel_size=<metres per pixel>\"\.",
+        r"bad\.csv: .*no pixel_size is known; write pixel_size_m once into the JSON file .*add --layout \"radius=R \(px\),.*,pixel_size=<metres per pixel>\"\.",
     ),
     "a diameter": (
         b"t (us),diameter (um)\n0,400\n1,398\n",

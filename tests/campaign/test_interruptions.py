@@ -124,24 +124,14 @@ def test_that_ctrl_c_is_one_line_that_says_what_is_kept_and_how_to_go_on(
     tmp_path, capsys, monkeypatch
 ):
     out = tmp_path / "gel"
-    base = [
-        "campaign",
-        "--case",
-        "soft-pa",
-        "--policy",
-        "random",
-        "--designs",
-        "1",
-        "--physics",
-        "polytropic",
-        "--quiet",
-    ]
+    shots = "--case soft-pa --policy random --designs 1"
+    base = f"campaign {shots} --physics polytropic --quiet --out {out}".split()
 
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Campaign, "learn_outstanding", interrupted)
-    assert main([*base, "--out", str(out)]) == 130
+    assert main(base) == 130
     said = capsys.readouterr().err
     assert (
         said

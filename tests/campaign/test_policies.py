@@ -18,7 +18,7 @@ from imr_torch.campaign import (
     Situation,
     SpaceFilling,
 )
-from imr_torch.design import DesignSpace, Laplace, Plan
+from imr_torch.design import DesignSpace, Laplace, ListedDesigns, Plan
 from imr_torch.errors import InputDataError
 from imr_torch.float64 import linspace
 from imr_torch.gap import CauseLearner
@@ -98,6 +98,17 @@ def test_random_designs_are_uniform_and_space_filling_ones_more_even():
 
     assert 1.0 < spread(Random()) < 9.0  # 3.75 on average
     assert spread(SpaceFilling()) == 0.0
+
+
+def test_that_where_a_list_alone_can_be_shot_designs_are_of_it():
+    """And space-filling ones are those of the ends first, each once before one is repeated."""
+    weber = {200.0, 400.0, 500.0, 600.0, 900.0}
+    space = ListedDesigns(rows=tuple((x, 0.2, 1.0) for x in weber))
+    for policy in (Random(), SpaceFilling()):
+        found = [float(choose(policy, number, space=space)[0]) for number in range(1, 7)]
+        assert {*found} <= weber
+    assert {200.0, 900.0} <= {*found[:3]}
+    assert {*found[:5]} == weber
 
 
 def test_a_list_is_shot_in_order_and_its_end_is_an_error():

@@ -51,19 +51,19 @@ def standing(
             RelativeSd(0.02, "mu"),
             standing(sd=0.0401),
             standing(sd=0.0399),
-            r"^mu of nhkv is known within 2 %",
+            r"^mu of NHKV is known within 2 %",
         ),
         (
             RelativeSd(0.02),
             standing(sd=0.0201),
             standing(sd=0.0199),
-            r"every parameter of nhkv is known within 2 %",
+            r"every parameter of NHKV is known within 2 %",
         ),
         (
             ModelProbability(0.9),
             standing(probability=0.89),
             standing(probability=0.91),
-            "nhkv has a probability above 0.9",
+            "NHKV has a probability above 0.9",
         ),
         (
             GainBelow(0.5),

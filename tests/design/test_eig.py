@@ -213,10 +213,10 @@ def test_the_estimate_is_a_function_of_its_seed():
     [
         (
             lambda: Laplace(draws=1),
-            "Laplace.draws is 1; at least 2 are needed for an error estimate",
+            "Laplace.draws is 1; expected at least 2",
         ),
-        (lambda: Laplace(rivals=1), "Laplace.rivals is 1; at least 2"),
-        (lambda: Laplace(refinements=-1), "Laplace.refinements is -1; expected 0 or more"),
+        (lambda: Laplace(rivals=1), "Laplace.rivals is 1; expected at least 2"),
+        (lambda: Laplace(refinements=-1), "Laplace.refinements is -1; expected at least 0"),
     ],
 )
 def test_impossible_estimators_are_refused(make, message):

@@ -31,7 +31,7 @@ def test_a_curve_without_that_many_collapses_keeps_all_frames():
 @pytest.mark.parametrize(
     ("bad", "message"),
     [
-        ({"repeats": 0}, "at least 1 curve per design"),
+        ({"repeats": 0}, "Plan.repeats is 0; expected at least 1"),
         ({"collapses": 0}, "Plan.collapses is 0; expected at least 1, or None"),
     ],
 )

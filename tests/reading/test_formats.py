@@ -140,28 +140,25 @@ def test_that_the_json_beside_gives_pixel_size_and_frame_rate(tmp_path):
     (tmp_path / "gel.csv").write_text(
         "frame,R (px)\n" + "".join(f"{i},{x / 2}\n" for i, x in enumerate(RADII))
     )
-    (tmp_path / "gel.json").write_text(json.dumps({"pixel_size_m": 2e-6, "frame_rate_fps": 1e6}))
-    check(load_traces(tmp_path / "gel.csv"), ("gel",))
+    rate = {"frame_rate_fps": 1e6}
+    entry = {"experiments": [{"experiment_id": "gel", "pixel_size_m": 2e-6}]}
+    for said in ({"pixel_size_m": 2e-6}, entry):
+        (tmp_path / "gel.json").write_text(json.dumps(rate | said))
+        check(load_traces(tmp_path / "gel.csv"), ("gel",))
+    for size, text in ((3e-6, "write pixel_size_m once"), (0, "is 0; expected one above 0")):
+        (tmp_path / "gel.json").write_text(json.dumps(rate | entry | {"pixel_size_m": size}))
+        with pytest.raises(InputDataError, match=text):
+            load_traces(tmp_path / "gel.csv")
 
 
 def test_that_the_json_beside_describes_camera_medium_and_radii(tmp_path):
     (tmp_path / "gel.csv").write_text("t (us),R (um)\n" + rows())
-    said = {
-        "medium": "10 % gelatin",
-        "frame_rate_fps": 1e6,
-        "pixel_size_m": 1.6e-6,
-        "exposure_s": 2e-7,
-    }
+    said = {"medium": "10 % gelatin", "frame_rate_fps": 1e6, "exposure_s": 2e-7}
     radii = {"Rmax_m": 2.6e-4, "Rmax_sd_m": 2e-6, "Rinf_m": 4e-5, "Rinf_sd_m": 1e-6}
     (tmp_path / "gel.json").write_text(json.dumps(said | radii))
     trace = load_traces(tmp_path / "gel.csv")["gel"]
     given = trace.given
-    assert (given.medium, given.frame_rate_hz, given.pixel_size_m, given.exposure_s) == (
-        "10 % gelatin",
-        1e6,
-        1.6e-6,
-        2e-7,
-    )
+    assert (given.medium, given.frame_rate_hz, given.exposure_s) == ("10 % gelatin", 1e6, 2e-7)
     marks = find_landmarks(trace)
     assert (marks.max_radius_m, marks.max_radius_sd_m, marks.max_method) == (
         2.6e-4,

@@ -267,7 +267,7 @@ def test_that_curves_of_the_model_are_explained_and_those_of_an_unmodelled_effec
     assert lossy["noise"]["widened"] > 1.5
     assert tested["p_value"] < 0.01
     assert re.search(
-        r"explain the curves \(p [=<] .*, nhkv; strongest test: .*; largest residual .* sd in [abc], ",
+        r"explain the curves \(p [=<] .*, NHKV; strongest test: .*; largest residual .* sd in [abc], ",
         tested["sentence"],
     )
     assert tested["sentence"].endswith("have tried: imr-torch diagnose")
