@@ -105,6 +105,7 @@ def assimilate(
         else options.mask_collapses
     )
     number = itertools.count(1)
+    fitted = 0
 
     def report_iteration(end: Descent) -> None:
         if progress:
@@ -113,7 +114,11 @@ def assimilate(
                 f"assimilation: {step}, {end.near.posterior.prior.model} "
                 f"cost {end.cost:.2f} gradient {end.gradient:.1e}"
             )
-            progress(ProgressLine(text, step=step))
+            part = None
+            if len(searches) > 1:
+                step = f"{fitted} of {len(searches)} models fitted"
+                part = fitted / len(searches)
+            progress(ProgressLine(text, step=step, part=part))
 
     searches = [
         ModelSearch(
@@ -134,6 +139,7 @@ def assimilate(
     for _, one in sorted(costs, key=lambda pair: (len(pair[1].starts) > 2, pair[0])):
         one.limit = lowest + drop_behind
         one.find_lowest()
+        fitted += 1
         lowest = min(lowest, one.lowest.cost)
     for one in searches if options.basin_rounds else ():
         one.limit = math.inf

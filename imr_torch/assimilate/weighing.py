@@ -152,7 +152,7 @@ def weigh(
     drawn = 0
     while waiting:
         number += 1
-        expected = drawn + math.ceil(1.5 * len(waiting))  # half of the models need another round
+        expected = drawn + 1.5 * len(waiting)  # half of the models need another round
         ahead = _models_ahead([state.fit for state in states], drop_behind)
         for state in waiting:
             state.proposals.append(_make_proposal(state, seed, options))
@@ -167,7 +167,9 @@ def weigh(
             if progress:
                 model = state.fit.model
                 text = f"draws: {model}, round {number}, {state.fit.trust}"
-                progress(ProgressLine(text, stage="draws", step=model, done=drawn, of=expected))
+                step = f"{model}, round {number} of at most {rounds}"
+                part = drawn / expected
+                progress(ProgressLine(text, stage="draws", step=step, part=part))
         _fit_again(waiting, states, options, child(seed, "refit", number), progress)
         ahead = _models_ahead([state.fit for state in states], drop_behind)
         waiting = [

@@ -22,6 +22,7 @@ from imr_torch.gap import (
 )
 from imr_torch.material import material, wide_prior
 from imr_torch.observe import Experiment, GelMedium, TraceSet, load_traces, prepare
+from imr_torch.progress import ProgressLine
 from imr_torch.record import ALL_ALIKE, RecordOptions, describe_record
 from imr_torch.simulate import Simulator
 
@@ -72,6 +73,7 @@ def run_command(args: Namespace) -> None:
     document |= medium_document(medium, assumed, report.null.posterior)
     print(describe(document))
     args.gel_medium = medium
+    progress(ProgressLine("figures", stage="figures"))
     document = write_result(args, document | {"seconds": time.perf_counter() - started})
     show_result(args, document)
     if not report.converged:

@@ -64,10 +64,12 @@ def characterize_stages(
 
 DIAGNOSE = (
     Stage("fit of the base model and test for a gap", 1.0),
-    Stage("fits of the effects", 15.0, "effects"),
+    Stage("causes", 4.0, "effects"),  # of each selection
     Stage("location, reduction, next design", 4.0, "location"),
+    Stage("figures", 0.3, "figures"),
 )
 DESIGN = (Stage("search of designs", 1.0),)
+BATCH = (Stage("shots", 1.0),)
 
 
 @dataclass(eq=False)
@@ -127,6 +129,7 @@ class Terminal:
             self.at = 0
             self.step = ""
             self.part = 0.0
+            self.size = 1.0
             self.counted = 0.0
             self.started = self._due = self.clock()
             self._begun = True
@@ -169,12 +172,14 @@ class Terminal:
         return ", ".join(parts) + (f": {doing}" if doing else "")
 
     def _part_done(self, of_stage: float | None = None) -> float:
-        """Part of the work that is done, roughly, or is when a part of the present stage is.
-
-        Of the step that counts, where no stages are planned.
+        """Part of the work that is done, roughly, or is when a part of the present stage is; 0 where
+        no stages are planned.
         """
+        if not self.stages:
+            return 0.0
         part = self.part if of_stage is None else of_stage
-        shares = [stage.share for stage in self.stages] or [1.0]
+        shares = [stage.share for stage in self.stages]
+        shares[self.at] *= self.size
         return (sum(shares[: self.at]) + part * shares[self.at]) / sum(shares)
 
     def _take_step(self, line: ProgressLine) -> None:
@@ -185,12 +190,14 @@ class Terminal:
         if new is not None:
             self.at = new
             self.part = 0.0
+            self.size = 1.0
             self.step = ""
             self._due = self.clock()
-        if line.of:
-            self.part = min(1.0, max(self.part, line.done / line.of))
-            self.step = f"{line.step} {line.done} of {line.of}".strip()
-        elif line.step or new is None:
+        if line.part is not None:
+            # what is done stays done where more is expected than before
+            self.part = min(1.0, max(self.part * self.size / line.size, line.part))
+            self.size = line.size
+        if line.step or new is None:
             self.step = line.step or line.partition(":")[0][:40]
         if self._part_done() != before:
             self.counted = self.clock() - self.started

@@ -32,7 +32,7 @@ from imr_torch.observe import Experiment
 from imr_torch.random import SeedLike, child, generator
 from imr_torch.simulate import Simulator, fewer_steps
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Directions, FrameMask, Progress, ProgressLine
+from imr_torch.types import Directions, FrameMask, Progress, ProgressLine, within
 from imr_torch.unknown import Unknown, infer_unknown
 
 _GRID = (0.15, 0.3, 0.5, 0.75, 0.94, 1.06, 1.25, 1.5, 1.75, 1.94, 2.06, 2.25, 2.6, 3.2, math.inf)
@@ -147,9 +147,13 @@ def examine(
         parts,
         onset=onset(report.left, seed=child(seed, "onset")),
         shrinkage=shrinkage(
-            report, simulator, judging, seed=child(seed, "shrinkage"), progress=progress
+            report,
+            simulator,
+            judging,
+            seed=child(seed, "shrinkage"),
+            progress=within(progress, 0.05, 0.8),
         ),
-        next_design=_next(report, simulator, seed, progress),
+        next_design=_next(report, simulator, seed, within(progress, 0.8, 0.95)),
         unknown=_unknown(report, simulator),
     )
 
