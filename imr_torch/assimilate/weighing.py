@@ -239,7 +239,8 @@ def _is_bent(state: _State, controls: DrawnControls, options: WeighingOptions) -
     if not bool((state.posterior.batch.nuisance_sds > 0.0).any()):
         return False
     linear = Point(controls, state.fit.nuisances_at(controls))
-    placed, chol = state.posterior.fit_nuisances(linear, beside=state.fit.point)
+    near = state.fit.linearise(state.posterior.batch, state.posterior.simulator)
+    placed, chol = state.posterior.fit_nuisances(linear, beside=near)
     missed = chol.mT @ (placed - linear.nuisances)[..., None]
     return 0.5 * float(missed.square().sum((1, 2, 3)).nanmedian()) > options.lost
 
