@@ -62,12 +62,22 @@ def characterize_stages(
     return tuple(stages)
 
 
-DIAGNOSE = (
-    Stage("fit of the base model and test for a gap", 1.0),
-    Stage("causes", 4.0, "effects"),  # of each selection
-    Stage("location, reduction, next design", 4.0, "location"),
-    Stage("figures", 0.3, "figures"),
-)
+def diagnose_stages(*, estimate_noise: bool) -> tuple[Stage, ...]:
+    """The stages of ``diagnose``; the share of causes is that of one selection.
+
+    >>> from imr_torch.cli.progress import diagnose_stages
+    >>> [stage.name for stage in diagnose_stages(estimate_noise=True)][1:]
+    ['causes', 'location, reduction, next design', 'figures']
+    """
+    # shares measured on PA1, S2 and gelatin, and on labelled sets
+    return (
+        Stage("fit of the base model and test for a gap", 1.0),
+        Stage("causes", 6.0 if estimate_noise else 3.0, "effects"),
+        Stage("location, reduction, next design", 2.0, "location"),
+        Stage("figures", 0.3, "figures"),
+    )
+
+
 DESIGN = (Stage("search of designs", 1.0),)
 BATCH = (Stage("shots", 1.0),)
 
@@ -90,14 +100,14 @@ class Terminal:
         early: part of the work before which no time left is said.
 
     >>> import io
-    >>> from imr_torch.cli.progress import DIAGNOSE, Terminal
+    >>> from imr_torch.cli.progress import Terminal, diagnose_stages
     >>> from imr_torch.progress import ProgressLine
     >>> stream = io.StringIO()
     >>> with Terminal("diagnose", stream=stream, clock=lambda: 0.0) as terminal:
-    ...     _ = terminal.plan_stages(DIAGNOSE)
+    ...     _ = terminal.plan_stages(diagnose_stages(estimate_noise=True))
     ...     terminal(ProgressLine("assimilation: iteration 3, nhkv cost -606.92", step="iteration 3"))
     >>> print(stream.getvalue().strip())
-    diagnose, stage 1 of 3, 0:00: fit of the base model and test for a gap, iteration 3
+    diagnose, stage 1 of 4, 0:00: fit of the base model and test for a gap, iteration 3
     """
 
     command: str
@@ -126,6 +136,7 @@ class Terminal:
         """Name the stages to come, from the first; returns itself."""
         with self._lock:
             self.stages = tuple(stages)
+            self.shares = [stage.share for stage in stages]
             self.at = 0
             self.step = ""
             self.part = 0.0
@@ -178,9 +189,9 @@ class Terminal:
         if not self.stages:
             return 0.0
         part = self.part if of_stage is None else of_stage
-        shares = [stage.share for stage in self.stages]
-        shares[self.at] *= self.size
-        return (sum(shares[: self.at]) + part * shares[self.at]) / sum(shares)
+        share = self.shares[self.at] * self.size
+        before, after = sum(self.shares[: self.at]), sum(self.shares[self.at + 1 :])
+        return (before + part * share) / (before + share + after)
 
     def _take_step(self, line: ProgressLine) -> None:
         """Take stage and step from a reported line."""
@@ -188,6 +199,9 @@ class Terminal:
         following = range(self.at + 1, len(self.stages))
         new = next((i for i in following if self.stages[i].key == line.stage), None)
         if new is not None:
+            # what was done of it was all, and what lies between was not done
+            self.shares[self.at] *= self.size * (self.part or 1.0)
+            self.shares[self.at + 1 : new] = [0.0] * (new - self.at - 1)
             self.at = new
             self.part = 0.0
             self.size = 1.0

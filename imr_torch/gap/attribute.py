@@ -36,7 +36,7 @@ _BEHIND = 6.0  # nats behind the best from which on a fit is given up
 # the winner's is finished later
 _FIT = SearchOptions(starts=2, iterations=30, drop_behind=_BEHIND, basin_rounds=0)
 _FIT_GELS = replace(_FIT, iterations=60)
-_OF_ONE_GEL = 0.8  # share of an attribution's time until gels may differ
+_OF_ONE_GEL = 0.75  # share of an attribution's time until gels may differ
 
 
 @dataclass(frozen=True)

@@ -142,7 +142,7 @@ def fit_hypotheses(
         nuisances=[deviating(null, h) for h in hypotheses],
         twice=twice,
     )
-    first = 0.5 if far else 1.0
+    first = 0.4 if far else 1.0
     found = search(options=options, progress=within(inquiry.progress, 0.0, first))
     if far:
         lowest = min(options.rival, *(fit.cost for fit in found))
@@ -195,14 +195,14 @@ def _descend(
         return list(fits)
     reach = None if options.drop_behind is None else options.drop_behind + error
     rough = replace(options, drop_behind=reach, gradient=max(options.gradient, _ROUGHLY))
-    early = within(progress, 0.0, 0.5)
+    early = within(progress, 0.0, 0.65)
     found = from_starts(belief, batch, coarse, options=rough, progress=early).fits
     fits = [_seen_by(fit, batch, simulator) for fit in found]
     limit = min(*(fit.cost for fit in fits), options.rival) + (math.inf if reach is None else reach)
     near = [i for i, fit in enumerate(fits) if fit.cost - promised(fit) <= limit]
     near.sort(key=lambda i: fits[i].cost)
     own = replace(options, starts=2, mask_collapses=False)
-    report = within(progress, 0.5, 0.8, name="near the best")
+    report = within(progress, 0.65, 0.8, name="near the best")
     for places, again in ((near[:twice], True), (near[twice:], False)):
         if not places:
             continue
