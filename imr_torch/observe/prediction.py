@@ -206,46 +206,10 @@ def _simulate_bubbles(
     if not bundled:
         solution = simulator(parameters[..., None, :], designs, times)
         return solution.radius, solution.velocity
-
-    def simulate_bundle(*inputs: Tensor) -> Tensor:
-        # experiments are bundles of their own, so members move to the last batch dimension
-        solution = simulator.bundle(*(x.transpose(-3, -2) for x in inputs))
-        return torch.stack((solution.radius, solution.velocity)).transpose(-3, -2)
-
-    parameters, designs, times = (
-        x if x.ndim > 2 else x[None] for x in (parameters[..., None, :], designs, times)
-    )
-    twins = _find_twins(parameters, designs)
-    if twins is not None:
-        first, second = twins
-        later = times + (times[..., second, None, :, :] - times[..., first, None, :, :])
-        both, order = torch.cat((times, later), -1).sort(-1)
-        if bool((both.diff(dim=-1) > 0.0).all()):
-            kept = [m for m in range(times.shape[-3]) if m != second]
-            at_both = simulate_bundle(*(x[..., kept, :, :] for x in (parameters, designs, both)))
-            places = order[..., kept, :, :].argsort(-1)
-            own, moved = at_both.gather(-1, places.expand_as(at_both)).chunk(2, -1)
-            before, after = own.tensor_split([second], -3)
-            radius, velocity = torch.cat((before, moved[..., first, None, :, :], after), -3)
-            return radius, velocity
-    radius, velocity = simulate_bundle(parameters, designs, times)
-    return radius, velocity
-
-
-def _find_twins(parameters: Tensor, designs: Tensor) -> tuple[int, int] | None:
-    """Two members of bundles that are one bubble, seen at different times, as where time zero is
-    moved; None without.
-    """
-    if designs.shape[-3] != parameters.shape[-3]:
-        return None
-    for second in range(1, designs.shape[-3]):
-        for first in range(second):
-            if all(
-                torch.equal(x[..., first, :, :], x[..., second, :, :])
-                for x in (parameters, designs)
-            ):
-                return first, second
-    return None
+    # experiments are bundles of their own, so members move to the last batch dimension
+    inputs = (x if x.ndim > 2 else x[None] for x in (parameters[..., None, :], designs, times))
+    solution = simulator.bundle(*(x.transpose(-3, -2) for x in inputs))
+    return solution.radius.transpose(-3, -2), solution.velocity.transpose(-3, -2)
 
 
 def first_minimum(
