@@ -105,20 +105,24 @@ def assimilate(
         else options.mask_collapses
     )
     number = itertools.count(1)
-    fitted = 0
+    begun: list[float] = []
+    fitted: list[int] = []  # of each model its starts, which take as long
+
+    def report_step(text: str, step: str) -> None:
+        part = None
+        if len(searches) > 1:
+            step = f"{len(fitted)} of {len(searches)} models fitted"
+            part = sum(fitted) / sum(len(one.starts) for one in searches)
+            if masking:
+                part = 0.5 * (len(begun) / len(searches) + part)
+        if progress:
+            progress(ProgressLine(text, step=step, part=part))
 
     def report_iteration(end: Descent) -> None:
-        if progress:
-            step = f"iteration {next(number)}"
-            text = (
-                f"assimilation: {step}, {end.near.posterior.prior.model} "
-                f"cost {end.cost:.2f} gradient {end.gradient:.1e}"
-            )
-            part = None
-            if len(searches) > 1:
-                step = f"{fitted} of {len(searches)} models fitted"
-                part = fitted / len(searches)
-            progress(ProgressLine(text, step=step, part=part))
+        step = f"iteration {next(number)}"
+        model = end.near.posterior.prior.model
+        cost = f"cost {end.cost:.2f} gradient {end.gradient:.1e}"
+        report_step(f"assimilation: {step}, {model} {cost}", step)
 
     searches = [
         ModelSearch(
@@ -131,7 +135,9 @@ def assimilate(
         )
         for posterior, point in zip(posteriors, points, strict=True)
     ]
-    begun = [one.approach_first() for one in searches]
+    for one in searches:
+        begun.append(one.approach_first())
+        report_step(f"assimilation: {one.posterior.prior.model} begun", "")
     drop_behind = math.inf if options.drop_behind is None else options.drop_behind
     lowest = options.rival
     # models with many starts last, since each start ends where it cannot come near the lowest
@@ -139,7 +145,7 @@ def assimilate(
     for _, one in sorted(costs, key=lambda pair: (len(pair[1].starts) > 2, pair[0])):
         one.limit = lowest + drop_behind
         one.find_lowest()
-        fitted += 1
+        fitted.append(len(one.starts))
         lowest = min(lowest, one.lowest.cost)
     for one in searches if options.basin_rounds else ():
         one.limit = math.inf

@@ -140,7 +140,7 @@ class Terminal:
             self.at = 0
             self.step = ""
             self.part = 0.0
-            self.size = 1.0
+            self.size = self.tick = 1.0
             self.counted = 0.0
             self.started = self._due = self.clock()
             self._begun = True
@@ -172,9 +172,10 @@ class Terminal:
             parts.append(f"stage {self.at + 1} of {len(self.stages)}")
         parts.append(_format_clock(elapsed))
         if done >= self.early:
-            # since the last step that counts the time left has become less, and a stage that lasts
-            # longer than planned lets the others do so
-            left = max(self.counted / done, elapsed / self._part_done(1.0)) - elapsed
+            # since the last step that counts the time left has become less, and a step or a stage
+            # that lasts longer than planned lets the others do so
+            next_done = self._part_done(min(1.0, self.part + self.tick))
+            left = max(self.counted / done, elapsed / next_done) - elapsed
             parts.append(
                 f"{100 * done:.0f} %" + f", about {_format_clock(left)} left" * (left > 0.5)
             )
@@ -204,13 +205,16 @@ class Terminal:
             self.shares[self.at + 1 : new] = [0.0] * (new - self.at - 1)
             self.at = new
             self.part = 0.0
-            self.size = 1.0
+            self.size = self.tick = 1.0
             self.step = ""
             self._due = self.clock()
         if line.part is not None:
             # what is done stays done where more is expected than before
-            self.part = min(1.0, max(self.part * self.size / line.size, line.part))
+            done = self.part * self.size / line.size
+            self.part = min(1.0, max(done, line.part))
             self.size = line.size
+            if self.part > done:
+                self.tick = self.part - done
         if line.step or new is None:
             self.step = line.step or line.partition(":")[0][:40]
         if self._part_done() != before:

@@ -37,6 +37,7 @@ from imr_torch.unknown import Unknown, infer_unknown
 
 _GRID = (0.15, 0.3, 0.5, 0.75, 0.94, 1.06, 1.25, 1.5, 1.75, 1.94, 2.06, 2.25, 2.6, 3.2, math.inf)
 _LEVEL = 0.01  # of a false onset; that there is a gap at all is not decided here
+_NAMED = ("effect", "class")  # verdicts that name a cause
 _SURE = 0.95  # probability of the leading cause from which on no shot is designed
 
 
@@ -143,6 +144,7 @@ def examine(
             ProgressLine("location, shrinkage, next design, what is missing", stage="location")
         )
     judging = replace(report.batch, experiments=tuple(unseen)) if unseen else None
+    judged = 0.9 if report.verdict in _NAMED else 0.6  # part of the time until a design is searched
     return replace(
         parts,
         onset=onset(report.left, seed=child(seed, "onset")),
@@ -151,16 +153,16 @@ def examine(
             simulator,
             judging,
             seed=child(seed, "shrinkage"),
-            progress=within(progress, 0.05, 0.8),
+            progress=within(progress, 0.05, judged),
         ),
-        next_design=_next(report, simulator, seed, within(progress, 0.8, 0.95)),
+        next_design=_next(report, simulator, seed, within(progress, judged, judged + 0.1)),
         unknown=_unknown(report, simulator),
     )
 
 
 def _unknown(report: GapReport, simulator: Simulator) -> Unknown | None:
     """What is missing where no cause is named, and its equations can be solved."""
-    if report.verdict in ("effect", "class"):
+    if report.verdict in _NAMED:
         return None
     try:
         return infer_unknown(report.null, report.batch, fewer_steps(simulator))

@@ -124,7 +124,7 @@ def shrinkage(
     if not report.selected.effects:
         return None
     judged = judge_designs(
-        report, simulator, unseen, seed=child(seed, "judge"), progress=within(progress, 0.0, 0.6)
+        report, simulator, unseen, seed=child(seed, "judge"), progress=within(progress, 0.0, 0.9)
     )
     if not judged:
         return None
@@ -142,7 +142,7 @@ def shrinkage(
         share=_interval(excess, source) if left else None,
         later=_interval(torch.stack(later), source) if turned else None,
         placebo=(
-            _placebo(report, judged, placebos, child(seed, "placebo"), within(progress, 0.6, 1.0))
+            _placebo(report, judged, placebos, child(seed, "placebo"), within(progress, 0.9, 1.0))
             if left
             else ()
         ),
