@@ -137,7 +137,8 @@ def assimilate(
     ]
     for one in searches:
         begun.append(one.approach_first())
-        report_step(f"assimilation: {one.posterior.prior.model} begun", "")
+        if masking and len(searches) > 1:
+            report_step(f"assimilation: {one.posterior.prior.model} begun", "")
     drop_behind = math.inf if options.drop_behind is None else options.drop_behind
     lowest = options.rival
     # models with many starts last, since each start ends where it cannot come near the lowest

@@ -38,10 +38,10 @@ _AHEAD = 8  # hypotheses whose most probable points beside slow noise are found
 _LARGE_GAP = 1e-6  # p-value below which the verdict was "other" in 13 of 13 measured sets
 # selections expected after the first and the second one: noise known, or inferred once more; noise
 # inferred, and a small or a large gap; of what comes nearest
-_AHEAD = (0.3, 0.0)
-_AHEAD_INFERRED = (0.7, 1.0)
-_AHEAD_LARGE = (3.6, 2.6)
-_AHEAD_NEAREST = (2.0, 1.2)
+_EXPECTED = (0.3, 0.0)
+_EXPECTED_INFERRED = (0.7, 1.0)
+_EXPECTED_LARGE = (3.6, 2.6)
+_EXPECTED_NEAREST = (2.0, 1.2)
 _NOISE_ROUNDS = 2  # times that the noise is inferred about a fit, and the fit made with it
 
 
@@ -152,7 +152,7 @@ def _select_within_misfit(
         own = child(seed, "misfit", len(held.parts))
         what = "no effect is enough, nearest cause"
         done = len(finding.steps) + len(steps)
-        counted = _count_selection(widened, held, what, done, _AHEAD_NEAREST[len(steps) > 0])
+        counted = _count_selection(widened, held, what, done, _EXPECTED_NEAREST[len(steps) > 0])
         found = attribute(counted, fit, held, before=left, seed=own)
         beside = [step for step in finding.steps if step.held.name == held.name]
         step, explained = weigh_beside_slow([found, *beside], inquiry.batch, inquiry.simulator)
@@ -313,9 +313,9 @@ def _expect_selections(
     """How many selections are expected after one."""
     laws = inquiry.batch.noise_laws
     if nearest is not None or laws is None or not laws.of_residuals:
-        return _AHEAD[second]
+        return _EXPECTED[second]
     large = left.test.p_value < _LARGE_GAP
-    return (_AHEAD_LARGE if large else _AHEAD_INFERRED)[second]
+    return (_EXPECTED_LARGE if large else _EXPECTED_INFERRED)[second]
 
 
 def _count_steps(found: Finding) -> int:

@@ -226,6 +226,7 @@ def _solve_twins_once(
     )
     first, second = next(twins, (0, 0))
     later = times + (times[:, second] - times[:, first])[:, None]
+    later[:, first] = times[:, second]
     both, order = torch.cat((times, later), -1).sort(-1)
     if bool((both[..., 1:] <= both[..., :-1]).any()):  # no twins, or of the same times
         return solve(*block, width)
