@@ -106,13 +106,13 @@ def assimilate(
     )
     number = itertools.count(1)
     begun: list[float] = []
-    fitted: list[int] = []  # of each model its starts, which take as long
+    fitted: list[int] = []  # of each model the square of its starts: of many, none is dropped early
 
     def report_step(text: str, step: str) -> None:
         part = None
         if len(searches) > 1:
             step = f"{len(fitted)} of {len(searches)} models fitted"
-            part = sum(fitted) / sum(len(one.starts) for one in searches)
+            part = sum(fitted) / sum(len(one.starts) ** 2 for one in searches)
             if masking:
                 part = 0.5 * (len(begun) / len(searches) + part)
         if progress:
@@ -146,7 +146,7 @@ def assimilate(
     for _, one in sorted(costs, key=lambda pair: (len(pair[1].starts) > 2, pair[0])):
         one.limit = lowest + drop_behind
         one.find_lowest()
-        fitted.append(len(one.starts))
+        fitted.append(len(one.starts) ** 2)
         lowest = min(lowest, one.lowest.cost)
     for one in searches if options.basin_rounds else ():
         one.limit = math.inf
