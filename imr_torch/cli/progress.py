@@ -72,7 +72,7 @@ def diagnose_stages(*, estimate_noise: bool) -> tuple[Stage, ...]:
     # shares measured on PA1, S2 and gelatin, and on labelled sets
     return (
         Stage("fit of the base model and test for a gap", 1.0),
-        Stage("causes", 6.0 if estimate_noise else 3.0, "effects"),
+        Stage("causes", 7.5 if estimate_noise else 4.0, "effects"),
         Stage("location, reduction, next design", 2.0, "location"),
         Stage("figures", 0.3, "figures"),
     )
