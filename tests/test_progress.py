@@ -74,14 +74,6 @@ def test_that_no_time_left_is_said_where_the_last_stage_lasts_longer_than_planne
     assert "left" not in made.describe_state()
 
 
-def test_that_counts_within_a_stage_do_not_go_back():
-    made, _, clock = terminal(DESIGN)
-    clock.now = 10.0
-    made(ProgressLine("shots", step="shots", done=20, of=20))
-    made(ProgressLine("figures", step="figures", done=12, of=24))
-    assert "100 %" in made.describe_state()
-
-
 def test_that_counted_steps_give_the_time_left():
     made, _, clock = terminal(DESIGN)
     clock.now = 10.0
