@@ -37,6 +37,7 @@ from imr_torch.unknown import Unknown, infer_unknown
 
 _GRID = (0.15, 0.3, 0.5, 0.75, 0.94, 1.06, 1.25, 1.5, 1.75, 1.94, 2.06, 2.25, 2.6, 3.2, math.inf)
 _LEVEL = 0.01  # of a false onset; that there is a gap at all is not decided here
+_SEARCH = 3.5  # time with a search of designs over that without
 _NAMED = ("effect", "class")  # verdicts that name a cause
 _SURE = 0.95  # probability of the leading cause from which on no shot is designed
 
@@ -139,12 +140,14 @@ def examine(
     )
     if not report.found:
         return parts
+    searching = _wants_design(report)
+    # part of the time until a design is searched
+    judged = 0.25 if searching else 0.9 if report.verdict in _NAMED else 0.6
+    progress = within(progress, 0.0, 1.0, size=_SEARCH if searching else 1.0)
     if progress:
-        progress(
-            ProgressLine("location, shrinkage, next design, what is missing", stage="location")
-        )
+        text = "location, shrinkage, next design, what is missing"
+        progress(ProgressLine(text, stage="location", part=0.0))
     judging = replace(report.batch, experiments=tuple(unseen)) if unseen else None
-    judged = 0.9 if report.verdict in _NAMED else 0.6  # part of the time until a design is searched
     return replace(
         parts,
         onset=onset(report.left, seed=child(seed, "onset")),
@@ -155,7 +158,9 @@ def examine(
             seed=child(seed, "shrinkage"),
             progress=within(progress, 0.05, judged),
         ),
-        next_design=_next(report, simulator, seed, within(progress, judged, judged + 0.1)),
+        next_design=_next(
+            report, simulator, seed, within(progress, judged, 0.98 if searching else judged)
+        ),
         unknown=_unknown(report, simulator),
     )
 
@@ -170,6 +175,14 @@ def _unknown(report: GapReport, simulator: Simulator) -> Unknown | None:
         return None
 
 
+def _wants_design(report: GapReport) -> bool:
+    """Whether the leading cause is not sure, and a shot may tell it from others."""
+    found = report.attribution
+    if found is None or report.verdict == OTHER:
+        return False
+    return found.posterior.get(found.winner.name, 0.0) <= _SURE
+
+
 def _next(
     report: GapReport, simulator: Simulator, seed: int, progress: Progress
 ) -> NextDesign | None:
@@ -177,11 +190,7 @@ def _next(
     sure and a shot can.
     """
     found = report.attribution
-    if (
-        found is None
-        or report.verdict == OTHER
-        or found.posterior.get(found.winner.name, 0.0) > _SURE
-    ):
+    if found is None or not _wants_design(report):
         return None
     try:
         return identity_design(

@@ -45,7 +45,7 @@ _AGAIN = "with new noise, cause"
 # what a selection is of -> gap -> work expected after a first and a second one (PA1, S2, records of
 # measured and labelled sets)
 _EXPECTED = {
-    _CAUSE: {"noise is known": (0.2, 0.0), "small gap": (0.4, 0.4), "large gap": (3.2, 2.9)},
+    _CAUSE: {"noise is known": (0.1, 0.0), "small gap": (0.4, 0.4), "large gap": (3.2, 2.9)},
     _NEAREST: {"small gap": (0.3, 0.5), "large gap": (2.3, 1.7)},
     _AGAIN: {"small gap": (0.4, 0.0), "large gap": (0.4, 0.0)},
 }
