@@ -143,7 +143,8 @@ def examine(
     searching = _wants_design(report)
     # part of the time until a design is searched
     judged = 0.25 if searching else 0.9 if report.verdict in _NAMED else 0.6
-    progress = within(progress, 0.0, 1.0, size=_SEARCH if searching else 1.0)
+    why = "the cause is not sure" if searching else ""
+    progress = within(progress, 0.0, 1.0, name=why, size=_SEARCH if searching else 1.0)
     if progress:
         text = "location, shrinkage, next design, what is missing"
         progress(ProgressLine(text, stage="location", part=0.0))
