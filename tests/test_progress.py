@@ -99,13 +99,13 @@ def test_that_more_selections_than_were_expected_take_more_time_and_less_are_don
     search = ProgressLine("search", step="16 of 32 models fitted", part=0.5)
     clock.now = 40.0
     within(made, 0.0, 1.0, name="first cause")(search)  # half of a selection of 7.5 shares
-    assert "0:40, 40 %, about 0:59 left: causes, first cause, 16 of" in made.describe_state()
+    assert "0:40, 37 %, about 1:08 left: causes, first cause, 16 of" in made.describe_state()
     within(made, 0.5, 1.0, name="second cause", size=2.0)(search)  # the first one and a half
-    assert "0:40, 63 %, about 0:23 left: causes, second cause" in made.describe_state()
+    assert "0:40, 60 %, about 0:26 left: causes, second cause" in made.describe_state()
     within(made, 0.2, 0.4, size=5.0)(search)  # what is done stays done
-    assert "0:40, 29 %, about 1:36 left" in made.describe_state()
+    assert "0:40, 29 %, about 1:40 left" in made.describe_state()
     made(stage("location", "location"))
-    assert "stage 3 of 4, 0:40, 79 %, about 0:11 left" in made.describe_state()
+    assert "stage 3 of 4, 0:40, 74 %, about 0:14 left" in made.describe_state()
 
 
 def test_that_a_log_gets_a_line_per_stage_and_one_every_half_minute():
