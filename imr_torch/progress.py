@@ -16,21 +16,65 @@ class ProgressLine(str):
         step: what is done within the stage.
         done: how many steps are done.
         of: how many there are; 0 where that is not known.
+        part: part of the stage that is done; that of the steps by default, None where neither is
+            known.
+        size: how often the work of the stage is expected to be done in all, as far as that is known
+            now.
 
     >>> from imr_torch.progress import ProgressLine
     >>> line = ProgressLine("design 5/25: We 300", step="design", done=5, of=25)
-    >>> print(line, line.done, line.of)
-    design 5/25: We 300 5 25
+    >>> print(line, line.step, line.part)
+    design 5/25: We 300 design 5 of 25 0.2
     """
 
     stage: str
     step: str
-    done: int
-    of: int
+    part: float | None
+    size: float
 
     def __new__(  # noqa: D102 (the class says it)
-        cls, text: str, *, stage: str = "", step: str = "", done: int = 0, of: int = 0
+        cls,
+        text: str,
+        *,
+        stage: str = "",
+        step: str = "",
+        done: int = 0,
+        of: int = 0,
+        part: float | None = None,
+        size: float = 1.0,
     ) -> "ProgressLine":
         line = super().__new__(cls, text)
-        vars(line).update(stage=stage, step=step, done=done, of=of)
+        if of:
+            step = f"{step} {done} of {of}".strip()
+            part = done / of if part is None else part
+        vars(line).update(stage=stage, step=step, part=part, size=size)
         return line
+
+
+def within(
+    progress: Progress, first: float, last: float, *, name: str = "", size: float = 1.0
+) -> Progress:
+    """Reports of work that is a part of a stage, from ``first`` to ``last`` of it.
+
+    Args:
+        progress: where the stage is reported.
+        first: part of the stage that is done before.
+        last: and after it.
+        name: what its steps are named by.
+        size: see :class:`ProgressLine`.
+
+    >>> from imr_torch.progress import ProgressLine, within
+    >>> report = within(lambda line: print(line.step, line.part), 0.5, 1.0, name="second search")
+    >>> report(ProgressLine("design 5/25", step="design", done=5, of=25))
+    second search, design 5 of 25 0.6
+    """
+    if progress is None:
+        return None
+
+    def report_part(text: str) -> None:
+        line = text if isinstance(text, ProgressLine) else ProgressLine(text)
+        part = None if line.part is None else first + (last - first) * line.part
+        step = ", ".join(filter(None, (name, line.step)))
+        progress(ProgressLine(line, stage=line.stage, step=step, part=part, size=size * line.size))
+
+    return report_part

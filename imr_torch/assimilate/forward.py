@@ -139,7 +139,9 @@ class ForwardModel:
         points = Point(
             point.gel.unsqueeze(-2) + steps.gel, point.nuisances.unsqueeze(-3) + steps.nuisances
         )
-        if leader is None:
+        if leader is None or all(
+            map(torch.equal, (leader.gel, leader.nuisances), (point.gel, point.nuisances))
+        ):
             return self.predict(points, bundled=True)
         led = Point(
             torch.cat((leader.gel.unsqueeze(-2), points.gel), -2),

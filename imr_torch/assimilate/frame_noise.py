@@ -147,16 +147,20 @@ def infer_frame_noise(
     factors = ones(len(curves))
     sds = torch.zeros_like(factors)
     found = grid.weigh_combinations(factors)
-    for _ in curves[1:]:
-        *_, gains = grid.compare_curves(found, factors)
-        other = int(gains.argmax())
-        if float(gains[other]) < 0.0:
-            break
-        for _ in range(2):  # the law of all is seen better beside a factor
-            ratios, errors, _ = grid.compare_curves(found, factors)
-            factors[other] *= ratios[other]
-            sds[other] = errors[other]
-            found = grid.weigh_combinations(factors)
+    ratios, errors, gains = grid.compare_curves(int(found[0].argmax()), factors)
+    if bool((gains >= 0.0).any()):
+        likely = torch.nonzero(found[0] >= found[0].max() - prior.behind)[:, 0]
+        for _ in curves[1:]:
+            other = int(gains.argmax())
+            if float(gains[other]) < 0.0:
+                break
+            for _ in range(2):  # the law of all is seen better beside a factor
+                factors[other] *= ratios[other]
+                sds[other] = errors[other]
+                some = grid.weigh_combinations(factors, among=likely)
+                best = int(likely[some[0].argmax()])
+                ratios, errors, gains = grid.compare_curves(best, factors)
+        found = grid.weigh_combinations(factors)
     law, laws = grid.sum_deviations(found)
     independent = grid.add_misfit(law, laws, factors)
     widened = interval_factor(fits, independent[0])

@@ -12,7 +12,8 @@ priors need no special treatment: the coordinates are unbounded.
 import itertools
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 
 import torch
 from jaxtyping import Float
@@ -20,7 +21,7 @@ from torch import Tensor
 
 from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit
 from imr_torch.assimilate.forward import Point
-from imr_torch.assimilate.local_minimum import Descent, Report
+from imr_torch.assimilate.local_minimum import Descent
 from imr_torch.assimilate.multistart import ModelSearch
 from imr_torch.assimilate.options import SearchOptions
 from imr_torch.assimilate.posterior import Posterior
@@ -104,20 +105,20 @@ def assimilate(
         if options.mask_collapses is None
         else options.mask_collapses
     )
-    report = _report_iterations(progress)
-    searches = [
+    reports = _Reports(progress, masking)
+    reports.searches = [
         ModelSearch(
             posterior,
             [point[row] for row in range(len(point.gel))],
             options,
             masking,
             source,
-            report,
+            reports.report_iteration if progress else None,
         )
         for posterior, point in zip(posteriors, points, strict=True)
     ]
-    _search_in_turn(searches, options)
-    fits = tuple(_conclude_fit(search) for search in searches)
+    _search_in_turn(reports, options)
+    fits = tuple(_conclude_fit(search) for search in reports.searches)
     for fit in fits:
         if warn and not fit.certificate.converged:
             text = f"{fit.prior.material.title}: {fit.certificate}"
@@ -125,11 +126,57 @@ def assimilate(
     return Assimilation(belief, batch, fits)
 
 
-def _search_in_turn(searches: Sequence[ModelSearch], options: SearchOptions) -> None:
+@dataclass
+class _Reports:
+    """Lines of progress of searches that are made in turn.
+
+    Args:
+        progress: called with each.
+        masking: whether searches begin without the frames next to collapses.
+        searches: all of them.
+        begun: how many have made their first approach.
+        fitted: of each model that is fitted the square of its starts: of many, none is dropped
+            early.
+    """
+
+    progress: Progress
+    masking: bool
+    searches: Sequence[ModelSearch] = ()
+    begun: int = 0
+    fitted: list[int] = field(default_factory=list)
+    numbers: Iterator[int] = field(default_factory=lambda: itertools.count(1))
+
+    def report_step(self, text: str, step: str = "") -> None:
+        """A line, with the part of the searches that is done where there are several."""
+        part = None
+        count = len(self.searches)
+        if count > 1:
+            step = f"{len(self.fitted)} of {count} models fitted"
+            part = sum(self.fitted) / sum(len(one.starts) ** 2 for one in self.searches)
+            if self.masking:
+                part = 0.5 * (self.begun / count + part)
+        if self.progress:
+            self.progress(ProgressLine(text, step=step, part=part))
+
+    def report_iteration(self, end: Descent) -> None:
+        """The line of an iteration of any search."""
+        step = f"iteration {next(self.numbers)}"
+        model = end.near.posterior.prior.material.title
+        cost = f"cost {end.cost:.2f} gradient {end.gradient:.1e}"
+        self.report_step(f"assimilation: {step}, {model} {cost}", step)
+
+
+def _search_in_turn(reports: _Reports, options: SearchOptions) -> None:
     """Find the lowest minimum of each model; each search ends where it cannot come near the lowest
     of those before it.
     """
-    begun = [one.approach_first() for one in searches]
+    searches = reports.searches
+    begun = []
+    for one in searches:
+        begun.append(one.approach_first())
+        reports.begun += 1
+        if reports.masking and len(searches) > 1:
+            reports.report_step(f"assimilation: {one.posterior.prior.material.title} begun")
     drop_behind = math.inf if options.drop_behind is None else options.drop_behind
     lowest = options.rival
     # models with many starts last, since each start ends where it cannot come near the lowest
@@ -137,6 +184,7 @@ def _search_in_turn(searches: Sequence[ModelSearch], options: SearchOptions) -> 
     for _, one in sorted(costs, key=lambda pair: (len(pair[1].starts) > 2, pair[0])):
         one.limit = lowest + drop_behind
         one.find_lowest()
+        reports.fitted.append(len(one.starts) ** 2)
         lowest = min(lowest, one.lowest.cost)
     for one in searches if options.basin_rounds else ():
         one.limit = math.inf
@@ -146,21 +194,6 @@ def _search_in_turn(searches: Sequence[ModelSearch], options: SearchOptions) -> 
     for one in searches:
         one.limit = lowest + min(drop_behind, options.descent.basin_rivals)
         one.enter_deeper_basins()
-
-
-def _report_iterations(progress: Progress) -> Report | None:
-    """A line of progress for each iteration of all searches, numbered."""
-    if progress is None:
-        return None
-    number = itertools.count(1)
-
-    def report(end: Descent) -> None:
-        step = f"iteration {next(number)}"
-        model = end.near.posterior.prior.material.title
-        text = f"assimilation: {step}, {model} cost {end.cost:.2f} gradient {end.gradient:.1e}"
-        progress(ProgressLine(text, step=step))
-
-    return report
 
 
 def assimilate_model(

@@ -54,6 +54,8 @@ class FrameNoisePrior:
         own_frames: frames that a curve needs for a factor of its own.
         frames: of a longer record every second, third, ... frame is used.
         kept: weight over the largest from which on a law is kept.
+        behind: nats behind the best from which on a law is not tried again beside a factor of one
+            curve; that moves them against each other by a few.
         missed: residuals about a fit over the scatter of repeats, from which on they hold more than
             that.
 
@@ -85,6 +87,7 @@ class FrameNoisePrior:
     own_frames: int = 12
     frames: int = 400
     kept: float = 1e-4
+    behind: float = 50.0
     missed: float = 1.1
 
 
@@ -203,14 +206,19 @@ class NoiseGrid:
         laws = self.laws.repeat_interleave(len(self.deviations), 0)
         return torch.cat((laws, self.deviations.repeat(len(self.laws), 1)), 1)
 
-    def weigh_combinations(self, factors: Tensor, *, at_once: int = 1500) -> Tensor:
-        """``3 x J`` tensor: log weights of all combinations, their scales integrated out, and log
-        scales with standard deviations; so many are filtered side by side.
+    def weigh_combinations(
+        self, factors: Tensor, *, among: Tensor | None = None, at_once: int = 1500
+    ) -> Tensor:
+        """``3 x J`` tensor: log weights of all combinations, or of those of some numbers, their
+        scales integrated out, and log scales with standard deviations; so many are filtered side by
+        side.
         """
+        chosen = torch.arange(len(self.values)) if among is None else among
+        values = self.values[chosen]
         level = _mean_variance(self.curves, self.laws, factors)
-        level = level.repeat_interleave(len(self.deviations))
+        level = level.repeat_interleave(len(self.deviations))[chosen]
         parts = []
-        for some, its in zip(self.values.split(at_once), level.split(at_once), strict=True):
+        for some, its in zip(values.split(at_once), level.split(at_once), strict=True):
             local = [c.describe_locally(some, factors, its) for c in self.curves]
             scales, sds = best_scales(local)
             parts.append((scales, sds, sum_marginals(local, scales)))
@@ -220,8 +228,8 @@ class NoiseGrid:
         both = widths.square() + wide**2
         log_scales = likely + widths.square() / both * ahead
         sds = widths * wide / both.sqrt()
-        value = marginal + sds.log() - 0.5 * ahead.square() / both + self.log_prior
-        floors = self.values[:, 2]
+        value = marginal + sds.log() - 0.5 * ahead.square() / both + self.log_prior[chosen]
+        floors = values[:, 2]
         least = math.log(self.prior.least) - floors.log()
         too_small = log_scales < least
         if bool(too_small.all()):  # only the error of the solver is left, which is nearly constant
@@ -229,11 +237,11 @@ class NoiseGrid:
         value = torch.where(too_small, -torch.inf, value)
         return torch.stack((value - value.logsumexp(0), log_scales, sds))
 
-    def compare_curves(self, found: Tensor, factors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """The noise of each curve over that of the others, the standard deviation of its logarithm,
-        and the nats for a factor of its own, more than 0 where it is to have one.
+    def compare_curves(self, best: int, factors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The noise of each curve over that of the others by one of the combinations, the standard
+        deviation of its logarithm, and the nats for a factor of its own, more than 0 where it is to
+        have one.
         """
-        best = int(found[0].argmax())
         values = self.values[best : best + 1]
         level = _mean_variance(self.curves, values, factors)
         parts = []

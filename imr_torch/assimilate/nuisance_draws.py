@@ -60,7 +60,9 @@ class NuisanceBasin:
         moved = self.fit.nuisances_at(controls)
         if placement is Placement.MOVED:
             return moved, self.fit.nuisance_chol.expand(len(controls), -1, -1, -1)
-        beside = None if placement is Placement.CAREFUL else self.fit.point
+        beside = None
+        if placement is not Placement.CAREFUL:
+            beside = self.fit.linearise(self.posterior.batch, self.posterior.simulator)
         return self.posterior.fit_nuisances(Point(controls, moved), beside=beside)
 
 

@@ -113,7 +113,7 @@ class Posterior(ForwardModel):
         self,
         point: Point,
         *,
-        beside: Point | None = None,
+        beside: "Neighbourhood | None" = None,
         longest: float = 4.0,
     ) -> tuple[
         Float[Tensor, "draws experiments nuisances"],
@@ -141,7 +141,7 @@ class Posterior(ForwardModel):
         else:
             prediction = self.predict(point)
             known = torch.isfinite(prediction).all(-1, keepdim=True)
-            slopes = (x.expand(len(point.gel), *x.shape) for x in self.neighbourhood(beside).slopes)
+            slopes = (x.expand(len(point.gel), *x.shape) for x in beside.slopes)
             equations = self.equations(point, torch.where(known, prediction, 0.5), *slopes)
         step = equations.reduced.nuisance_step
         step = step * (longest / step.norm(dim=-1, keepdim=True).clamp_min(1e-300)).clamp_max(1.0)

@@ -157,7 +157,7 @@ def weigh(
     drawn = 0
     while waiting:
         number += 1
-        expected = drawn + math.ceil(1.5 * len(waiting))  # half of the models need another round
+        expected = drawn + 1.5 * len(waiting)  # half of the models need another round
         ahead = _models_ahead([state.fit for state in states], drop_behind)
         for state in waiting:
             state.proposals.append(_make_proposal(state, seed, options))
@@ -172,7 +172,9 @@ def weigh(
             if progress:
                 model = state.fit.prior.material.title
                 text = f"draws: {model}, round {number}, {state.fit.trust}"
-                progress(ProgressLine(text, stage="draws", step=model, done=drawn, of=expected))
+                step = f"{model}, round {number} of at most {rounds}"
+                part = drawn / expected
+                progress(ProgressLine(text, stage="draws", step=step, part=part))
         _fit_again(waiting, states, options, child(seed, "refit", number), progress)
         ahead = _models_ahead([state.fit for state in states], drop_behind)
         waiting = [
@@ -246,7 +248,8 @@ def _is_bent(state: _State, controls: DrawnControls, options: WeighingOptions) -
     if not len(state.posterior.uncertain):
         return False
     linear = Point(controls, state.fit.nuisances_at(controls))
-    placed, chol = state.posterior.fit_nuisances(linear, beside=state.fit.point)
+    near = state.fit.linearise(state.posterior.batch, state.posterior.simulator)
+    placed, chol = state.posterior.fit_nuisances(linear, beside=near)
     missed = chol.mT @ (placed - linear.nuisances)[..., None]
     return 0.5 * float(missed.square().sum((1, 2, 3)).nanmedian()) > options.lost
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from imr_torch.characterization import medium_document, medium_of
 from imr_torch.cli.common import refuse_options, show_result, simulator_of, write_result
-from imr_torch.cli.progress import DIAGNOSE
+from imr_torch.cli.progress import diagnose_stages
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap import (
     Effect,
@@ -22,6 +22,7 @@ from imr_torch.gap import (
 )
 from imr_torch.material import material, wide_prior
 from imr_torch.observe import Experiment, GelMedium, TraceSet, load_traces, prepare
+from imr_torch.progress import ProgressLine
 from imr_torch.record import ALL_ALIKE, RecordOptions, describe_record
 from imr_torch.simulate import Simulator
 
@@ -51,12 +52,13 @@ def run_command(args: Namespace) -> None:
             f"--heldout leaves none of the {len(experiments)} experiments to fit; hold out fewer."
         )
     known_noise = "published" if _is_set(args.files[0]) else "estimated"
-    progress = args.terminal.plan_stages(DIAGNOSE)
+    estimate_noise = (args.noise or known_noise) == "estimated"
+    progress = args.terminal.plan_stages(diagnose_stages(estimate_noise=estimate_noise))
     report = diagnose(
         fitted,
         base=base,
         effects=effects,
-        estimate_noise=(args.noise or known_noise) == "estimated",
+        estimate_noise=estimate_noise,
         simulator=simulator,
         most=args.most,
         seed=args.seed,
@@ -72,6 +74,7 @@ def run_command(args: Namespace) -> None:
     document |= medium_document(medium, assumed, report.null.posterior)
     print(describe(document))
     args.gel_medium = medium
+    progress(ProgressLine("figures", stage="figures"))
     document = write_result(args, document | {"seconds": time.perf_counter() - started})
     show_result(args, document)
     if not report.converged:

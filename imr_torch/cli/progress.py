@@ -62,12 +62,24 @@ def characterize_stages(
     return tuple(stages)
 
 
-DIAGNOSE = (
-    Stage("fit of the base model and test for a gap", 1.0),
-    Stage("fits of the effects", 15.0, "effects"),
-    Stage("location, reduction, next design", 4.0, "location"),
-)
+def diagnose_stages(*, estimate_noise: bool) -> tuple[Stage, ...]:
+    """The stages of ``diagnose``; the share of causes is that of one selection.
+
+    >>> from imr_torch.cli.progress import diagnose_stages
+    >>> [stage.name for stage in diagnose_stages(estimate_noise=True)][1:]
+    ['causes', 'location, reduction, next design', 'figures']
+    """
+    # shares measured on PA1, S2 and gelatin, and on labelled sets
+    return (
+        Stage("fit of the base model and test for a gap", 1.0),
+        Stage("causes", 7.5 if estimate_noise else 4.0, "effects"),
+        Stage("location, reduction, next design", 4.0 if estimate_noise else 2.0, "location"),
+        Stage("figures", 0.3, "figures"),
+    )
+
+
 DESIGN = (Stage("search of designs", 1.0),)
+BATCH = (Stage("shots", 1.0),)
 
 
 @dataclass(eq=False)
@@ -88,14 +100,14 @@ class Terminal:
         early: part of the work before which no time left is said.
 
     >>> import io
-    >>> from imr_torch.cli.progress import DIAGNOSE, Terminal
+    >>> from imr_torch.cli.progress import Terminal, diagnose_stages
     >>> from imr_torch.progress import ProgressLine
     >>> stream = io.StringIO()
     >>> with Terminal("diagnose", stream=stream, clock=lambda: 0.0) as terminal:
-    ...     _ = terminal.plan_stages(DIAGNOSE)
+    ...     _ = terminal.plan_stages(diagnose_stages(estimate_noise=True))
     ...     terminal(ProgressLine("assimilation: iteration 3, nhkv cost -606.92", step="iteration 3"))
     >>> print(stream.getvalue().strip())
-    diagnose, stage 1 of 3, 0:00: fit of the base model and test for a gap, iteration 3
+    diagnose, stage 1 of 4, 0:00: fit of the base model and test for a gap, iteration 3
     """
 
     command: str
@@ -124,9 +136,11 @@ class Terminal:
         """Name the stages to come, from the first; returns itself."""
         with self._lock:
             self.stages = tuple(stages)
+            self.shares = [stage.share for stage in stages]
             self.at = 0
             self.step = ""
             self.part = 0.0
+            self.size = self.tick = 1.0
             self.counted = 0.0
             self.started = self._due = self.clock()
             self._begun = True
@@ -158,9 +172,10 @@ class Terminal:
             parts.append(f"stage {self.at + 1} of {len(self.stages)}")
         parts.append(_format_clock(elapsed))
         if done >= self.early:
-            # since the last step that counts the time left has become less, and a stage that lasts
-            # longer than planned lets the others do so
-            left = max(self.counted / done, elapsed / self._part_done(1.0)) - elapsed
+            # since the last step that counts the time left has become less, and a step or a stage
+            # that lasts longer than planned lets the others do so
+            next_done = self._part_done(min(1.0, self.part + self.tick))
+            left = max(self.counted / done, elapsed / next_done) - elapsed
             parts.append(
                 f"{100 * done:.0f} %" + f", about {_format_clock(left)} left" * (left > 0.5)
             )
@@ -169,13 +184,15 @@ class Terminal:
         return ", ".join(parts) + (f": {doing}" if doing else "")
 
     def _part_done(self, of_stage: float | None = None) -> float:
-        """Part of the work that is done, roughly, or is when a part of the present stage is.
-
-        Of the step that counts, where no stages are planned.
+        """Part of the work that is done, roughly, or is when a part of the present stage is; 0 where
+        no stages are planned.
         """
+        if not self.stages:
+            return 0.0
         part = self.part if of_stage is None else of_stage
-        shares = [stage.share for stage in self.stages] or [1.0]
-        return (sum(shares[: self.at]) + part * shares[self.at]) / sum(shares)
+        share = self.shares[self.at] * self.size
+        before, after = sum(self.shares[: self.at]), sum(self.shares[self.at + 1 :])
+        return (before + part * share) / (before + share + after)
 
     def _take_step(self, line: ProgressLine) -> None:
         """Take stage and step from a reported line."""
@@ -183,14 +200,22 @@ class Terminal:
         following = range(self.at + 1, len(self.stages))
         new = next((i for i in following if self.stages[i].key == line.stage), None)
         if new is not None:
+            # what was done of it was all, and what lies between was not done
+            self.shares[self.at] *= self.size * (self.part or 1.0)
+            self.shares[self.at + 1 : new] = [0.0] * (new - self.at - 1)
             self.at = new
             self.part = 0.0
+            self.size = self.tick = 1.0
             self.step = ""
             self._due = self.clock()
-        if line.of:
-            self.part = min(1.0, max(self.part, line.done / line.of))
-            self.step = f"{line.step} {line.done} of {line.of}".strip()
-        elif line.step or new is None:
+        if line.part is not None:
+            # what is done stays done where more is expected than before
+            done = self.part * self.size / line.size
+            self.part = min(1.0, max(done, line.part))
+            self.size = line.size
+            if self.part > done:
+                self.tick = self.part - done
+        if line.step or new is None:
             self.step = line.step or line.partition(":")[0][:40]
         if self._part_done() != before:
             self.counted = self.clock() - self.started

@@ -20,12 +20,12 @@ from imr_torch.assimilate import ModelFit, SearchOptions
 from imr_torch.assimilate.slow_noise import SmoothDeviations, smooth_deviations
 from imr_torch.gap.adequacy import Adequacy
 from imr_torch.gap.fits import finish, fit_differing, fit_hypotheses, promised
-from imr_torch.gap.hypotheses import GEL_SCATTER, Hypothesis, Inquiry, laplace_evidence
+from imr_torch.gap.hypotheses import GEL_SCATTER, Hypothesis, Inquiry, in_words, laplace_evidence
 from imr_torch.gap.lookalike import Likeness, likeness
 from imr_torch.gap.verdict import CheckedEvidence, check_evidence, probabilities
 from imr_torch.goodness.score import GapTest
 from imr_torch.random import child
-from imr_torch.types import ProgressLine
+from imr_torch.types import ProgressLine, within
 
 _SCALES_OF_NOISE = 9  # over which probabilities are averaged where the noise was inferred
 _MOST_LEFT_OUT = (
@@ -36,6 +36,7 @@ _BEHIND = 6.0  # nats behind the best from which on a fit is given up
 # the winner's is finished later
 _FIT = SearchOptions(starts=2, iterations=30, drop_behind=_BEHIND, basin_rounds=0)
 _FIT_GELS = replace(_FIT, iterations=60)
+_OF_ONE_GEL = 0.75  # share of an attribution's time until gels may differ
 
 
 @dataclass(frozen=True)
@@ -157,12 +158,17 @@ def attribute(
     """
     longer = inquiry.longer(held)
     if inquiry.progress:
-        inquiry.progress(ProgressLine(f"attribution: {len(longer)} hypotheses", stage="effects"))
+        text = f"attribution: {len(longer)} hypotheses"
+        inquiry.progress(ProgressLine(text, stage="effects", part=0.0))
     differing = longer.pop(GEL_SCATTER, None)
+    together = replace(inquiry, progress=within(inquiry.progress, 0.0, _OF_ONE_GEL))
     fits = {held.name: null} | fit_hypotheses(
-        inquiry, list(longer.values()), null, seed=seed, starts=before.starts, options=_FIT
+        together, list(longer.values()), null, seed=seed, starts=before.starts, options=_FIT
     )
     if differing is not None:
+        if inquiry.progress:
+            text = "attribution: differences between shots"
+            inquiry.progress(ProgressLine(text, step=in_words(GEL_SCATTER), part=_OF_ONE_GEL))
         lowest = min(fit.cost for fit in fits.values())
         fits[differing.name] = fit_differing(
             inquiry,

@@ -157,7 +157,7 @@ def diagnose(
     gap = left.test
     if progress:
         text = f"gap test: {p_value(gap.p_value)}, leading block {gap.blocks[0].name}"
-        progress(ProgressLine(text, stage="effects" if gap.found else "location"))
+        progress(ProgressLine(text, stage="effects" if gap.found else "figures"))
 
     reason = "No block of the gap test rejects the base model."
     found = Finding("none", (), reason, nothing, null)

@@ -35,11 +35,13 @@ from imr_torch.observe import Experiment
 from imr_torch.random import SeedLike, child, generator
 from imr_torch.simulate import Simulator, fewer_steps
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Directions, FrameMask, Progress, ProgressLine
+from imr_torch.types import Directions, FrameMask, Progress, ProgressLine, within
 from imr_torch.unknown import Unknown, choose_shot, infer_unknown
 
 _GRID = (0.15, 0.3, 0.5, 0.75, 0.94, 1.06, 1.25, 1.5, 1.75, 1.94, 2.06, 2.25, 2.6, 3.2, math.inf)
 _LEVEL = 0.01  # of a false onset; that there is a gap at all is not decided here
+_SEARCH = 3.5  # time with a search of designs over that without
+_NAMED = ("effect", "class")  # verdicts that name a cause
 _SURE = 0.95  # probability of the leading cause from which on no shot is designed
 
 
@@ -141,31 +143,53 @@ def examine(
     )
     if not report.found:
         return parts
+    searching = _wants_design(report)
+    # part of the time until a design is searched
+    judged = 0.25 if searching else 0.9 if report.verdict in _NAMED else 0.6
+    why = "the cause is not sure" if searching else ""
+    progress = within(progress, 0.0, 1.0, name=why, size=_SEARCH if searching else 1.0)
     if progress:
-        progress(
-            ProgressLine("location, shrinkage, next design, what is missing", stage="location")
-        )
+        text = "location, shrinkage, next design, what is missing"
+        progress(ProgressLine(text, stage="location", part=0.0))
     judging = replace(report.batch, experiments=tuple(unseen)) if unseen else None
     unknown = _unknown(report, simulator)
     return replace(
         parts,
         onset=onset(report.left, seed=child(seed, "onset")),
         shrinkage=shrinkage(
-            report, simulator, judging, seed=child(seed, "shrinkage"), progress=progress
+            report,
+            simulator,
+            judging,
+            seed=child(seed, "shrinkage"),
+            progress=within(progress, 0.05, judged),
         ),
-        next_design=_next(report, unknown, simulator, seed, progress),
+        next_design=_next(
+            report,
+            unknown,
+            simulator,
+            seed,
+            within(progress, judged, 0.98 if searching else judged),
+        ),
         unknown=unknown,
     )
 
 
 def _unknown(report: GapReport, simulator: Simulator) -> Unknown | None:
     """What is missing where no cause is named, and its equations can be solved."""
-    if report.verdict in ("effect", "class"):
+    if report.verdict in _NAMED:
         return None
     try:
         return infer_unknown(report.null, report.batch, fewer_steps(simulator))
     except RuntimeError:  # a matrix that is not positive definite
         return None
+
+
+def _wants_design(report: GapReport) -> bool:
+    """Whether the leading cause is not sure, and a shot may tell it from others."""
+    found = report.attribution
+    if found is None or report.verdict == OTHER:
+        return False
+    return found.posterior.get(found.winner.name, 0.0) <= _SURE
 
 
 def _next(
@@ -187,11 +211,7 @@ def _next(
         if report.verdict == OTHER and unknown is not None and unknown.explained >= EXPLAINS:
             fewer = fewer_steps(simulator)
             return choose_shot(unknown, report.null.prior, fewer, plan=plan, seed=own)
-        if (
-            found is not None
-            and report.verdict != OTHER
-            and found.posterior.get(found.winner.name, 0.0) <= _SURE
-        ):
+        if found is not None and _wants_design(report):
             return identity_design(
                 found.with_one_gel,
                 found.posterior,

@@ -29,7 +29,7 @@ from imr_torch.material.belief import even_belief
 from imr_torch.observe import NUISANCES, ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator, coarser
-from imr_torch.types import Progress
+from imr_torch.types import Progress, within
 
 LEADING = 6
 """Fits of an attribution that get a second start by the simulator's own bubbles."""
@@ -131,6 +131,7 @@ def fit_hypotheses(
         return {}
     options = options or SearchOptions()
     batch = hypotheses[0].seen(inquiry.batch)
+    far = overdispersion(null, batch) > _FAR
     search = partial(
         _descend,
         even_belief(h.belief for h in hypotheses),
@@ -140,12 +141,14 @@ def fit_hypotheses(
         starts=[h.starts(null, starts or {}) for h in hypotheses],
         nuisances=[deviating(null, h) for h in hypotheses],
         twice=twice,
-        progress=inquiry.progress,
     )
-    found = search(options=options)
-    if overdispersion(null, batch) > _FAR:
+    first = 0.4 if far else 1.0
+    found = search(options=options, progress=within(inquiry.progress, 0.0, first))
+    if far:
         lowest = min(options.rival, *(fit.cost for fit in found))
-        masked = search(options=replace(options, mask_collapses=True, rival=lowest))
+        again = replace(options, mask_collapses=True, rival=lowest)
+        report = within(inquiry.progress, first, 1.0, name="without frames next to collapses")
+        masked = search(options=again, progress=report)
         found = [lower(*pair, options) for pair in zip(found, masked, strict=True)]
     return {h.name: fit for h, fit in zip(hypotheses, found, strict=True)}
 
@@ -182,21 +185,24 @@ def _descend(
     where no fit is made twice. A fit that was left behind has the cost that the simulator gives it
     where it ended, and has not converged.
     """
-    search = partial(assimilate, seed=seed, warn=False, progress=progress)
+    search = partial(assimilate, seed=seed, warn=False)
     from_starts = partial(search, starts=starts, nuisances=nuisances)
     coarse = coarser(simulator)
     same = coarse is simulator
     error = 0.0 if same else _coarse_error(belief, batch, simulator, starts[0][:1], nuisances[0])
     if same or error > _TOO_COARSE:
-        return list(from_starts(belief, batch, simulator, options=options).fits)
+        fits = from_starts(belief, batch, simulator, options=options, progress=progress).fits
+        return list(fits)
     reach = None if options.drop_behind is None else options.drop_behind + error
     rough = replace(options, drop_behind=reach, gradient=max(options.gradient, _ROUGHLY))
-    found = from_starts(belief, batch, coarse, options=rough).fits
+    early = within(progress, 0.0, 0.65)
+    found = from_starts(belief, batch, coarse, options=rough, progress=early).fits
     fits = [_seen_by(fit, batch, simulator) for fit in found]
     limit = min(*(fit.cost for fit in fits), options.rival) + (math.inf if reach is None else reach)
     near = [i for i, fit in enumerate(fits) if fit.cost - promised(fit) <= limit]
     near.sort(key=lambda i: fits[i].cost)
     own = replace(options, starts=2, mask_collapses=False)
+    report = within(progress, 0.65, 0.8, name="near the best")
     for places, again in ((near[:twice], True), (near[twice:], False)):
         if not places:
             continue
@@ -206,7 +212,8 @@ def _descend(
         if not again:
             gels = [fit.mean[None] for fit in chosen]
             begin = {"starts": gels, "nuisances": [fit.nuisances for fit in chosen]}
-        ended = search(kept, batch, simulator, options=own, **begin).fits
+        ended = search(kept, batch, simulator, options=own, progress=report, **begin).fits
+        report = within(progress, 0.8, 1.0, name="near the best")
         for i, fit in zip(places, ended, strict=True):
             agreement = found[i].certificate.agreement
             if again:

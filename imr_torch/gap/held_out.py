@@ -31,7 +31,7 @@ from imr_torch.goodness.phases import PHASES, noise_shares, phase_clock, phase_n
 from imr_torch.observe import NUISANCES, ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
-from imr_torch.types import FrameValues, Progress
+from imr_torch.types import FrameValues, Progress, ProgressLine
 
 # prior standard deviations between the starts of a training fit: many posterior ones, and inside
 # one basin
@@ -183,7 +183,8 @@ def judge_designs(
     if unseen is None and count < 2:
         return []
     judged = []
-    for number, out in enumerate(default_folds(count) if unseen is None else [[]]):
+    folds = default_folds(count) if unseen is None else [[]]
+    for number, out in enumerate(folds):
         kept = [i for i in range(count) if i not in out]
         fold = _Fold(report, kept, simulator, child(seed, "fold", number))
         hypothesis = report.selected
@@ -195,7 +196,9 @@ def judge_designs(
             hypothesis, fit, base, base_fit = fold.select_again()
             if progress:
                 labels = ", ".join(one.label for one in designs.experiments)
-                progress(f"without {labels}: {hypothesis.name}")
+                text = f"without {labels}: {hypothesis.name}"
+                done = number + 1
+                progress(ProgressLine(text, step="held out", done=done, of=len(folds)))
         line = linearise_fit(base_fit, base.seen(fold.training), simulator)
         beside = None
         if report.within_misfit is not None:

@@ -28,12 +28,27 @@ from imr_torch.labels import p_value
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
+from imr_torch.types import ProgressLine, within
 
 _NO_GAP = 0.5  # probability of the base model alone from which on there is no gap
 # probability of an unknown effect from which on the verdict is "other", once further effects were
 # tried
 _UNKNOWN = 0.5
 _AHEAD = 8  # hypotheses whose most probable points beside slow noise are found
+_LARGE_GAP = 1e-6  # p-value below which the verdict was "other" in 13 of 13 measured sets
+# work over that of the first selection: of a later one, and of a first with noise inferred anew
+_LATER = 0.75
+_ANEW = 1.4
+_CAUSE = "cause"
+_NEAREST = "no effect is enough, nearest cause"
+_AGAIN = "with new noise, cause"
+# what a selection is of -> gap -> work expected after a first and a second one (PA1, S2, records of
+# measured and labelled sets)
+_EXPECTED = {
+    _CAUSE: {"noise is known": (0.1, 0.0), "small gap": (0.4, 0.4), "large gap": (3.5, 3.0)},
+    _NEAREST: {"small gap": (0.3, 0.5), "large gap": (2.6, 2.0)},
+    _AGAIN: {"small gap": (0.4, 0.0), "large gap": (0.5, 0.0)},
+}
 _NOISE_ROUNDS = 2  # times that the noise is inferred about a fit, and the fit made with it
 
 
@@ -119,7 +134,7 @@ def select_causes(
     if finding.verdict != OTHER or laws is None or not laws.of_residuals:
         return finding
     if nearest is None:
-        nearest = _select_within_misfit(inquiry, finding, null, seed=seed)
+        nearest = _select_within_misfit(inquiry, finding, null, left, seed=seed)
     return replace(
         finding,
         selected=nearest.selected,
@@ -130,7 +145,7 @@ def select_causes(
 
 
 def _select_within_misfit(
-    inquiry: Inquiry, finding: Finding, null: ModelFit, *, seed: int
+    inquiry: Inquiry, finding: Finding, null: ModelFit, gap: Adequacy, *, seed: int
 ) -> Finding:
     """The verdict "other" with the parts that explain much even if all that is left counts as
     noise: slow noise of each shot's own, or else larger noise in all frames alike.
@@ -142,7 +157,9 @@ def _select_within_misfit(
     steps: list[Attribution] = []
     while len(held.parts) < inquiry.most and inquiry.longer(held):
         own = child(seed, "misfit", len(held.parts))
-        found = attribute(widened, fit, held, before=left, seed=own)
+        number = len(finding.steps) + len(steps)
+        counted = _count_selection(widened, held, _NEAREST, number, gap)
+        found = attribute(counted, fit, held, before=left, seed=own)
         beside = [step for step in finding.steps if step.held.name == held.name]
         step, explained = weigh_beside_slow([found, *beside], inquiry.batch, inquiry.simulator)
         steps.append(step)
@@ -235,7 +252,7 @@ def fit_with_noise(
             noise = noise.for_fits(widen=number + 1 == _NOISE_ROUNDS)
         inquiry = replace(inquiry, batch=noise.applied(inquiry.batch))
         if inquiry.progress:
-            inquiry.progress(f"noise {inquiry.batch.noise}")
+            inquiry.progress(ProgressLine(f"noise {inquiry.batch.noise}", step="noise"))
         if held.parts:
             fit = finish(inquiry, fit, held, seed=child(seed, number))
         else:
@@ -258,7 +275,10 @@ def _select_until_adequate(
     steps: tuple[Attribution, ...] = ()
     while len(held.parts) < inquiry.most and inquiry.longer(held):
         own = child(seed, "attribute", len(held.parts))
-        found = attribute(inquiry, fit, held, before=before, seed=own, masked=masked)
+        what = _CAUSE if nearest is None else _AGAIN
+        number = len(steps) + (0 if nearest is None else _count_steps(nearest))
+        counted = _count_selection(inquiry, held, what, number, left)
+        found = attribute(counted, fit, held, before=before, seed=own, masked=masked)
         if nearest is not None and not held.parts:
             for part in nearest.selected.parts:
                 own = child(seed, part)
@@ -290,6 +310,39 @@ def _select_until_adequate(
         before = found.left
         masked = masked * (1.0 - found.likeness.chance)
     return replace(_conclude_other(null, left, held, fit, steps), steps=steps)
+
+
+def _count_steps(found: Finding) -> int:
+    """Selections that led to a finding."""
+    return len(found.steps) + (len(found.within_misfit.steps) if found.within_misfit else 0)
+
+
+def _count_selection(
+    inquiry: Inquiry, held: Hypothesis, what: str, number: int, left: Adequacy
+) -> Inquiry:
+    """An inquiry that reports one selection, after a number of others and with more of them
+    expected.
+
+    Args:
+        inquiry: base model, effects and data.
+        held: what was selected.
+        what: a key of the table of what is expected.
+        number: of selections before.
+        left: the gap test at the base model's fit.
+    """
+    laws = inquiry.batch.noise_laws
+    gap = "noise is known"
+    if laws is not None and laws.of_residuals:
+        gap = "large gap" if left.test.p_value < _LARGE_GAP else "small gap"
+    own = _LATER if number else 1.0
+    if what == _AGAIN and not held.parts:
+        own = _ANEW
+    done = 1.0 + _LATER * (number - 1) if number else 0.0
+    expected = done + own + _EXPECTED[what].get(gap, (0.0, 0.0))[len(held.parts) > 0]
+    name = f"{what} {len(held.parts) + 1} of at most {inquiry.most}"
+    parts = (done / expected, (done + own) / expected)
+    report = within(inquiry.progress, *parts, name=name, size=expected)
+    return replace(inquiry, progress=report)
 
 
 def _with_one_part(

@@ -36,7 +36,7 @@ from imr_torch.goodness.score import ADEQUATE
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
-from imr_torch.types import Progress
+from imr_torch.types import Progress, ProgressLine, within
 
 TURN = 1.5
 """Reading of the phase clock at the first rebound's maximum."""
@@ -123,7 +123,9 @@ def shrinkage(
     """
     if not report.selected.effects:
         return None
-    judged = judge_designs(report, simulator, unseen, seed=child(seed, "judge"), progress=progress)
+    judged = judge_designs(
+        report, simulator, unseen, seed=child(seed, "judge"), progress=within(progress, 0.0, 0.9)
+    )
     if not judged:
         return None
     source = generator(child(seed, "interval"))
@@ -139,7 +141,11 @@ def shrinkage(
     return Shrinkage(
         share=_interval(excess, source) if left else None,
         later=_interval(torch.stack(later), source) if turned else None,
-        placebo=_placebo(report, judged, placebos, child(seed, "placebo")) if left else (),
+        placebo=(
+            _placebo(report, judged, placebos, child(seed, "placebo"), within(progress, 0.9, 1.0))
+            if left
+            else ()
+        ),
         base_gap=base_gap / count,
         base_p=base_p,
         selected=tuple(pair.effect.hypothesis.parts for pair in judged),
@@ -173,7 +179,7 @@ def _interval(
 
 
 def _placebo(
-    report: GapReport, judged: Sequence[Judged], count: int, seed: int
+    report: GapReport, judged: Sequence[Judged], count: int, seed: int, progress: Progress
 ) -> tuple[float, ...]:
     """``S`` of random libraries, sorted: the procedure where no candidate is the cause."""
     offered = len(report.trained.steps[0].hypotheses) - 1
@@ -198,6 +204,9 @@ def _placebo(
             change = own.by_gel @ gel[: own.by_gel.shape[1]] + amplitudes @ rows
             after += float(pair.excess(own.residual - change).sum())
         shares.append(max(-_WIDEST, min(_WIDEST, 1.0 - after / before)))
+        if progress:
+            done = number + 1
+            progress(ProgressLine(f"placebo {done}/{count}", step="placebo", done=done, of=count))
     return tuple(sorted(shares))
 
 

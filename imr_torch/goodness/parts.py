@@ -17,7 +17,7 @@ import torch
 from scipy.special import ndtri
 from torch import Tensor
 
-from imr_torch.assimilate import ModelFit, Posterior
+from imr_torch.assimilate import ModelFit, Point, Posterior
 from imr_torch.assimilate.fit import NEARLY
 from imr_torch.assimilate.local_minimum import descend_from
 from imr_torch.float64 import linspace
@@ -163,7 +163,8 @@ def compare_parts(
     >>> compare_parts(fit, batch, simulator).agree
     True
     """
-    line = whiten_rows(fit.linearise(batch, simulator))
+    near = fit.linearise(batch, simulator)
+    line = whiten_rows(near)
     clock = phase_clock(batch.times, line.prediction, batch.mask)
     inside = {
         name: (clock > begin) & (clock <= last) & batch.mask
@@ -172,19 +173,23 @@ def compare_parts(
     names = fit.prior.of_gel
     columns = torch.tensor([fit.prior.names.index(name) for name in names])
 
-    def find_variances(frames: FrameMask) -> Tensor:
+    def refit_linearly(frames: FrameMask) -> tuple[Tensor, Point]:
+        """Variances of the gel, and the most probable point or one on the way there."""
         used = line.pad_rows(frames.flatten().double(), 1.0)[:, None] * line.fitted
-        return torch.linalg.inv(used.mT @ used).diagonal()[columns]
+        covariance = torch.linalg.inv(used.mT @ used)
+        shift = covariance @ (used.mT @ line.residual)
+        shift = shift / shift.norm().clamp_min(1.0)
+        return covariance.diagonal()[columns], near.posterior.point_at(near.coordinates + shift)
 
     mean, whole, converged = fit_frames(fit, batch, simulator, batch.mask)
-    variance = find_variances(batch.mask)
+    variance, _ = refit_linearly(batch.mask)
     parts = []
     for name, frames in inside.items():
         left = batch.mask & ~frames
         if min(int(frames.sum()), int(left.sum(1).min())) < fewest:
             continue
-        moved, without, ended = fit_frames(fit, batch, simulator, left)
-        wider = find_variances(left)
+        wider, start = refit_linearly(left)
+        moved, without, ended = fit_frames(fit, batch, simulator, left, start=start)
         z = (moved - mean)[columns] / (wider - variance).clamp_min(1e-300).sqrt()
         tells = (wider > widened**2 * variance) & torch.tensor(converged and ended)
         shifts = {x: float(z[i]) for i, x in enumerate(names) if tells[i]}
@@ -212,6 +217,7 @@ def fit_frames(
     simulator: Simulator,
     frames: FrameMask,
     *,
+    start: Point | None = None,
     iterations: int = 20,
 ) -> tuple[Tensor, dict[str, list[float]], bool]:
     """Fit some of the frames, with the solver steps of the fit of all.
@@ -221,6 +227,7 @@ def fit_frames(
         batch: its data, curves only.
         simulator: makes the bubbles.
         frames: which frames; two or more of each curve that has any.
+        start: where the search begins; the fit of all by default.
         iterations: most.
 
     Returns:
@@ -229,7 +236,7 @@ def fit_frames(
     kept = [e.at(f[m]) for e, f, m in zip(batch.curves, frames, batch.mask, strict=True)]
     end = descend_from(
         Posterior(fit.prior, replace(batch, experiments=tuple(kept)), simulator),
-        fit.point,
+        start or fit.point,
         fit.point,
         gradient=0.1 * NEARLY,
         iterations=iterations,

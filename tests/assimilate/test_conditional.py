@@ -43,8 +43,9 @@ def test_that_one_step_is_exact_where_nuisances_are_linear(noise, start, fitted)
     part = prior(("nhkv",)).models[0]
     gels = part.controls(4, seed=0)
     guess = full((4, 3, 3), start) * (batch.nuisance_sds > 0.0)
-    beside = Point(part.controls(1, seed=1)[0], guess[0]) if fitted else None
     posterior = Posterior(part, batch, simulator)
+    there = Point(part.controls(1, seed=1)[0], guess[0])
+    beside = posterior.neighbourhood(there) if fitted else None
     found, root = posterior.fit_nuisances(Point(gels, guess), beside=beside)
     for i in range(4):
         mean, hessian = closed_form(part.to_si(gels[i]), batch, simulator)

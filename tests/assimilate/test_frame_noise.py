@@ -184,7 +184,10 @@ def test_that_what_is_known_of_the_scale_is_what_repeated_inference_scatters_by(
 
 
 def test_that_one_noisy_curve_has_a_factor_of_its_own_and_even_curves_have_none():
-    found = infer_frame_noise(near(curves(Noise(), factors=(1.0, 3.0, 1.0))))
+    place = near(curves(Noise(), factors=(1.0, 3.0, 1.0)))
+    found = infer_frame_noise(place)
+    every = infer_frame_noise(place, FrameNoisePrior(behind=math.inf))
+    assert (found.law, found.factors, found.widened) == (every.law, every.factors, every.widened)
     assert found.factors[1] == pytest.approx(3.0, rel=0.3)
     assert (found.factors[0], found.factors[2], found.factor_sds[0]) == (1.0, 1.0, 0.0)
     assert found.factor_sds[1] > 0.0
