@@ -33,7 +33,7 @@ from imr_torch.record import describe_record
 from imr_torch.simulate import Conditions, PolytropicGas
 from tests.record.bubbles import LIQUID, paths
 
-SHOTS = {"good": 0.0, "wall": 0.15, "ellipse": 0.03, "scale": 0.05, "focus": 0.05}
+SHOTS = {"good": 0.0, "wall": 0.05, "ellipse": 0.02, "scale": 0.02, "focus": 0.03}
 FRAMES = {
     "exact": {},
     "jitter": {"jitter": 0.15},
@@ -197,9 +197,7 @@ def list_jobs(sets: int, fits: int, seed: int, only: list[str]) -> dict[str, Job
             jobs[f"{text}/{own}"] = (
                 partial(judge_frames, kind, own)
                 if kind in FRAMES
-                else partial(
-                    judge_shots, kind, float(size or SHOTS[kind]), own, fit=number < fits
-                )
+                else partial(judge_shots, kind, float(size or SHOTS[kind]), own, fit=number < fits)
             )
     return jobs
 
