@@ -10,7 +10,6 @@ right if the inference is exact), a third have none (false alarms), and the othe
 .2 or .4 in ln G and none in mu (power). A run goes on where it stopped.
 """
 
-import argparse
 import statistics
 import time
 import warnings
@@ -21,7 +20,7 @@ from typing import Any
 
 import torch
 
-from benchmarks.records import Figure, Line, run_missing_jobs, write_figures
+from benchmarks.records import Figure, Line, run_missing_jobs, start_parser, write_figures
 from imr_torch import PolytropicSimulator
 from imr_torch.assimilate import SearchOptions
 from imr_torch.errors import ImrError
@@ -151,9 +150,7 @@ def score_populations(lines: list[Line]) -> str:
 def main() -> None:
     """Run and tabulate."""
     warnings.simplefilter("ignore")
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = start_parser(__doc__)
     commands = parser.add_subparsers(dest="what", required=True)
     runs = commands.add_parser("run")
     runs.add_argument("--noise", choices=("known", "estimated"), default="known")

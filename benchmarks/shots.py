@@ -8,7 +8,6 @@ Rmax, time zero and R_inf. A campaign of searched designs ends by the rule of th
 of each seed, in the place of draws of the belief, where the target is not about several models.
 """
 
-import argparse
 import math
 from dataclasses import dataclass
 from functools import partial
@@ -17,7 +16,14 @@ from tempfile import TemporaryDirectory
 
 from torch import Tensor
 
-from benchmarks.records import Figure, Line, run_missing_jobs, write_figures, write_table
+from benchmarks.records import (
+    Figure,
+    Line,
+    run_missing_jobs,
+    start_parser,
+    write_figures,
+    write_table,
+)
 from imr_torch.campaign import (
     Campaign,
     CampaignSettings,
@@ -155,9 +161,7 @@ def write_shots(lines: list[Line], predicted: Line, gels: list[Line]) -> str:
 
 def main() -> None:
     """Run and tabulate."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = start_parser(__doc__)
     parser.add_argument("out", type=Path, metavar="OUT.jsonl")
     parser.add_argument("--setting", choices=SETTINGS, default="soft")
     parser.add_argument("--seeds", type=int, default=20)

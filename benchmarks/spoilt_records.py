@@ -14,15 +14,23 @@ sets of three shots (noise .002) all frames have the errors of `FRAMES`. What th
 """
 
 import argparse
-import math
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
 
-from benchmarks.records import Figure, Job, Line, read_record, run_missing_jobs, write_figures
-from imr_torch import PolytropicSimulator, characterize, wide_prior
+from benchmarks.gap.single_curves import characterize_traces
+from benchmarks.records import (
+    Figure,
+    Job,
+    Line,
+    read_record,
+    run_missing_jobs,
+    start_commands,
+    write_figures,
+)
+from imr_torch import PolytropicSimulator
 from imr_torch.observe import Given, RadiusTrace, TraceSet
 from imr_torch.record import describe_record
 from imr_torch.simulate import Conditions, PolytropicGas
@@ -36,6 +44,7 @@ FRAMES = {
     "threshold": {"threshold": 0.0005},
     "all": {"jitter": 0.15, "exposure": 0.2, "threshold": 0.0005},
 }
+FITS = PolytropicSimulator(Conditions(gas=PolytropicGas(exponent=1.4, reference="rest")), threads=1)
 BAD = 3
 """Which shot is the bad one."""
 
@@ -127,32 +136,13 @@ def simulate_shots(kind: str, size: float, seed: int) -> tuple[TraceSet, Line]:
     return TraceSet(tuple(traces)), dict(zip(("G", "mu"), gel, strict=True))
 
 
-def fit_traces(traces: TraceSet, truth: Line, *, weigh: bool = True) -> Line:
-    """Intervals of ``characterize`` with the truth's own gas, and the p-value of its fit test."""
-    gas = PolytropicGas(exponent=1.4, reference="rest")
-    result = characterize(
-        traces,
-        prior=wide_prior(["nhkv"]),
-        simulator=PolytropicSimulator(Conditions(gas=gas), threads=1),
-        medium="density=1060",
-        weigh_odd_shots=weigh,
-    )
-    found = result.to_dict()["models"]["nhkv"]["intervals"]  # type: ignore[index,call-overload]
-    test = result.fit_test
-    return {
-        "p": None if test is None else test.p_value,
-        "held": {name: found[name][0] <= truth[name] <= found[name][2] for name in truth},
-        "error": {name: math.log(found[name][1] / truth[name]) for name in truth},
-    }
-
-
 def judge_shots(kind: str, size: float, seed: int, *, fit: bool) -> Line:
     """Which of the shots stand out, and what the fit says."""
     traces, truth = simulate_shots(kind, size, seed)
     line: Line = {"truth": truth}
     if kind in SHOTS:
         line["odd"] = [shot.stands_out for shot in describe_record(traces).shots]
-    return line | (fit_traces(traces, truth) if fit else {})
+    return line | (characterize_traces(traces, truth, 0, simulator=FITS) if fit else {})
 
 
 def list_jobs(args: argparse.Namespace) -> dict[str, Job]:
@@ -188,26 +178,24 @@ def write_page(lines: list[Line]) -> str:
             figures.append(Figure.of_share(f"{kind}: holds {name}", held, (0.85, 0.95)))
             errors = [abs(line["error"][name]) for line in fits]
             figures.append(Figure.of_quantile(f"{kind}: error of ln {name}, median", errors, 0.5))
-        low = [line["p"] < 0.05 for line in fits if line["p"] is not None]
+        low = [line["p_fit"] < 0.05 for line in fits if line["p_fit"] is not None]
         figures.append(Figure.of_share(f"{kind}: p below .05", low, (0.0, 0.05)))
     return write_figures(figure for figure in figures if figure.count)
 
 
 def main() -> None:
     """Run or tabulate."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("what", choices=("run", "table"))
-    parser.add_argument("out", type=Path, nargs="+")
-    parser.add_argument("--sets", type=int, default=40)
-    parser.add_argument("--fits", type=int, default=40)
-    parser.add_argument("--seed", type=int, default=53000)
-    parser.add_argument("--only", default=",".join((*SHOTS, *FRAMES)))
+    parser, commands = start_commands(__doc__)
+    runs = commands.add_parser("run")
+    runs.add_argument("out", type=Path)
+    runs.add_argument("--sets", type=int, default=40)
+    runs.add_argument("--fits", type=int, default=40)
+    runs.add_argument("--seed", type=int, default=53000)
+    runs.add_argument("--only", default=",".join((*SHOTS, *FRAMES)))
     args = parser.parse_args()
     if args.what == "run":
-        run_missing_jobs(args.out[0], list_jobs(args))
-    print(write_page(read_record(*args.out)))
+        run_missing_jobs(args.out, list_jobs(args))
+    print(write_page(read_record(*(args.files if args.what == "table" else [args.out]))))
 
 
 if __name__ == "__main__":

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.spoilt_records import BAD, SHOTS, fit_traces, judge_shots, simulate_shots
+from benchmarks.gap.single_curves import characterize_traces
+from benchmarks.spoilt_records import BAD, FITS, SHOTS, judge_shots, simulate_shots
 from imr_torch.errors import InputDataError
 from imr_torch.observe import Given, RadiusTrace, TraceSet, load_traces, prepare
 from imr_torch.record import ALL_ALIKE, RecordOptions, describe_record
@@ -127,7 +128,10 @@ def test_a_shot_that_stands_out_counts_little_in_fits_unless_asked_to():
 
 def test_a_bad_shot_moves_the_gel_less(few_deviations):
     fits = {
-        weigh: [fit_traces(*simulate_shots("wall", 0.15, seed), weigh=weigh) for seed in range(2)]
+        weigh: [
+            characterize_traces(*simulate_shots("wall", 0.15, seed), 0, simulator=FITS, weigh=weigh)
+            for seed in range(2)
+        ]
         for weigh in (True, False)
     }
     moved = {weigh: np.mean([abs(x["error"]["G"]) for x in own]) for weigh, own in fits.items()}
