@@ -2,11 +2,8 @@
 Kelvin-Voigt medium, integrated forwards and backwards from the maximum by SciPy.
 """
 
-import numpy as np
-import torch
 from scipy.integrate import solve_ivp
 
-from imr_torch.observe import Given, RadiusTrace
 from imr_torch.simulate.conditions import saturation_pressure
 from imr_torch.units import Surroundings
 
@@ -94,16 +91,3 @@ def paths(*bubble, near=0.0, lowest=0.25, last=None):
         )
         for end in (-3, last or 3)
     ]
-
-
-def record(name, top, rest, modulus, viscosity, *, rng, frames=60, noise=0.003, near=0.0):
-    """A record from growth to collapse with noise over the maximum radius."""
-    growth, collapse = paths(top, rest, modulus, viscosity, near=near)
-    times = np.linspace(growth.t[-1], collapse.t[-1], frames + 1)[:-1]
-    times = times + rng.uniform() * (times[1] - times[0])
-    clean = np.where(
-        times < 0, growth.sol(np.minimum(times, 0))[0], collapse.sol(np.maximum(times, 0))[0]
-    )
-    radius = clean + noise * top * rng.standard_normal(frames)
-    given = Given(rest_radius_m=rest, rest_settled=True)
-    return RadiusTrace(name, torch.tensor(times), torch.tensor(radius), "example", given)

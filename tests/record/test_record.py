@@ -9,13 +9,13 @@ import pytest
 import torch
 
 from benchmarks.gap.single_curves import characterize_traces
-from benchmarks.spoilt_records import BAD, FITS, SHOTS, judge_shots, simulate_shots
+from benchmarks.spoilt_records import BAD, FITS, SHOTS, film_bubble, judge_shots, simulate_shots
 from imr_torch.errors import InputDataError
 from imr_torch.observe import Given, RadiusTrace, TraceSet, load_traces, prepare
 from imr_torch.record import ALL_ALIKE, RecordOptions, describe_record
 from imr_torch.record.figures import record_figure
 from imr_torch.units import Surroundings
-from tests.record.bubbles import LIQUID, paths, record, wall_pressure
+from tests.record.bubbles import LIQUID, paths, wall_pressure
 
 
 def one_bad():
@@ -24,6 +24,12 @@ def one_bad():
 
 
 GELS = [(2e-4, 4e-5, 8e3, 0.1), (3e-4, 4.5e-5, 2e3, 0.2), (1e-4, 3e-5, 2e4, 0.1)]
+
+
+def film(bubble, seed, **errors):
+    """Growth, and the collapse to just beyond its end."""
+    rng = np.random.default_rng(seed)
+    return film_bubble("a", bubble, rng, **{"noise": 0.003, "spacing": 0.028, "last": 1.0} | errors)
 
 
 def first_cycle(trace):
@@ -44,7 +50,7 @@ def true_pressures(levels, top, rest, modulus, viscosity):
 @pytest.mark.parametrize("gel", GELS)
 def test_split_and_modulus_are_those_of_another_code(gel):
     modulus, viscosity = gel[2:]
-    cycles = [first_cycle(record("a", *gel, rng=np.random.default_rng(i))) for i in range(12)]
+    cycles = [first_cycle(film(gel, i)) for i in range(12)]
     growth, collapse = true_pressures(cycles[0].levels, *gel)
     split = np.nanmedian([c.collapse - c.growth for c in cycles], 0)
     common = np.nanmedian([0.5 * (c.collapse + c.growth) for c in cycles], 0)
@@ -58,15 +64,14 @@ def test_split_and_modulus_are_those_of_another_code(gel):
 
 def test_intervals_of_viscosity_and_modulus_cover_the_truth():
     modulus, viscosity = GELS[0][2:]
-    cycles = [first_cycle(record("a", *GELS[0], rng=np.random.default_rng(i))) for i in range(40)]
+    cycles = [first_cycle(film(GELS[0], i)) for i in range(40)]
     for name, truth in (("viscosity", viscosity), ("modulus", modulus)):
         scores = [(getattr(c, name) - truth) / getattr(c, f"{name}_sd") for c in cycles]
         assert np.mean(np.abs(scores) < 1.64) > 0.75
 
 
 def test_a_lossless_bubble_has_neither_split_nor_skewness():
-    rng = np.random.default_rng(0)
-    cycle = first_cycle(record("a", 2e-4, 4e-5, 0.0, 0.0, rng=rng, noise=1e-4))
+    cycle = first_cycle(film((2e-4, 4e-5, 0.0, 0.0), 0, noise=1e-4))
     assert abs(cycle.skewness) < 0.004  # what waves leave
     assert cycle.chord == pytest.approx(1.0, abs=0.01)
     assert np.nanmax(np.abs(cycle.collapse - cycle.growth)) < 0.1
@@ -74,7 +79,7 @@ def test_a_lossless_bubble_has_neither_split_nor_skewness():
 
 
 def test_clock_and_scale_errors_look_like_a_changed_modulus_and_not_like_dissipation():
-    clean = record("a", *GELS[0], rng=np.random.default_rng(1))
+    clean = film(GELS[0], 1)
     right = first_cycle(clean)
     scale = first_cycle(replace(clean, radius_m=1.05 * clean.radius_m))
     clock = first_cycle(replace(clean, time_s=1.05 * clean.time_s))
@@ -89,9 +94,8 @@ def test_clock_and_scale_errors_look_like_a_changed_modulus_and_not_like_dissipa
 
 
 def test_a_wall_lengthens_the_chord():
-    rng = np.random.default_rng(2)
-    near = first_cycle(record("a", 2e-4, 4e-5, 0.0, 0.1, rng=rng, near=0.1))
-    far = first_cycle(record("a", 2e-4, 4e-5, 0.0, 0.1, rng=rng))
+    near = first_cycle(film((2e-4, 4e-5, 0.0, 0.1), 2, wall=0.1))
+    far = first_cycle(film((2e-4, 4e-5, 0.0, 0.1), 2))
     assert near.chord > far.chord + 0.02
     assert near.modulus < 0.0
 
@@ -140,7 +144,7 @@ def test_a_bad_shot_moves_the_gel_less(few_deviations):
 
 
 def test_without_growth_no_split_is_shown():
-    trace = record("a", *GELS[0], rng=np.random.default_rng(0))
+    trace = film(GELS[0], 0)
     after = trace.time_s >= 0
     told = describe_record(
         [replace(trace, time_s=trace.time_s[after], radius_m=trace.radius_m[after])]
