@@ -143,6 +143,13 @@ def test_a_bad_shot_moves_the_gel_less(few_deviations):
     assert all(x["held"]["G"] for x in fits[True])
 
 
+@pytest.mark.parametrize("kind", ["exposure", "threshold"])
+def test_frames_with_unstated_errors_leave_the_gel_within_its_intervals(kind, few_deviations):
+    found = judge_shots(kind, 0.0, 53001, fit=True)
+    assert found["held"] == {"G": True, "mu": True}
+    assert found["p_fit"] > 0.01
+
+
 def test_without_growth_no_split_is_shown():
     trace = film(GELS[0], 0)
     after = trace.time_s >= 0
