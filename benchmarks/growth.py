@@ -22,7 +22,15 @@ import torch
 from torch import Tensor
 
 from benchmarks.real_gels import SETS, standardise
-from benchmarks.records import Job, Line, read_record, run_missing_jobs, start_commands, write_table
+from benchmarks.records import (
+    Job,
+    Line,
+    add_out,
+    read_record,
+    run_missing_jobs,
+    start_commands,
+    write_table,
+)
 from imr_torch import load_traces, wide_prior
 from imr_torch.assimilate import SearchOptions, assimilate
 from imr_torch.assimilate.starts import away_from_collapses
@@ -163,9 +171,8 @@ def main() -> None:
     parser, commands = start_commands(__doc__)
     runs = commands.add_parser("run")
     runs.add_argument("folder", type=Path)
-    runs.add_argument("out", type=Path)
+    add_out(runs)
     runs.add_argument("--shots", type=int, default=3)
-    runs.add_argument("--workers", type=int, default=1)
     args = parser.parse_args()
     if args.what == "table":
         lines = read_record(*args.files)

@@ -251,3 +251,9 @@ def start_commands(doc: str | None) -> tuple[argparse.ArgumentParser, Any]:
     tables = commands.add_parser("table", help="score the lines of runs")
     tables.add_argument("files", nargs="+", metavar="OUT.jsonl")
     return parser, commands
+
+
+def add_out(parser: argparse.ArgumentParser) -> None:
+    """The record that a run writes, and in how many processes."""
+    parser.add_argument("out", type=Path, metavar="OUT.jsonl")
+    parser.add_argument("--workers", type=int, default=1)

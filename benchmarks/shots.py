@@ -11,7 +11,6 @@ of each seed, in the place of draws of the belief, where the target is not about
 import math
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from torch import Tensor
@@ -19,6 +18,7 @@ from torch import Tensor
 from benchmarks.records import (
     Figure,
     Line,
+    add_out,
     run_missing_jobs,
     start_parser,
     write_figures,
@@ -162,10 +162,9 @@ def write_shots(lines: list[Line], predicted: Line, gels: list[Line]) -> str:
 def main() -> None:
     """Run and tabulate."""
     parser = start_parser(__doc__)
-    parser.add_argument("out", type=Path, metavar="OUT.jsonl")
+    add_out(parser)
     parser.add_argument("--setting", choices=SETTINGS, default="soft")
     parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--workers", type=int, default=1)
     args = parser.parse_args()
     name = args.setting
     jobs = {f"{name}/predicted": partial(predict_shots, name)}

@@ -27,6 +27,7 @@ from benchmarks.gap.verdicts import families, is_in_class, is_named, posterior_o
 from benchmarks.records import (
     Figure,
     Line,
+    add_out,
     read_record,
     run_missing_jobs,
     start_commands,
@@ -214,8 +215,7 @@ def main() -> None:
     add_task_arguments(commands.add_parser("run", help="make and diagnose sets"))
     labelled = commands.add_parser("labelled", help="diagnose sets of a separate program")
     labelled.add_argument("folder", type=Path)
-    labelled.add_argument("out", type=Path, metavar="OUT.jsonl")
-    labelled.add_argument("--workers", type=int, default=1)
+    add_out(labelled)
     args = parser.parse_args()
     if args.what == "table":
         lines = read_record(*args.files)

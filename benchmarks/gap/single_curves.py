@@ -34,7 +34,15 @@ from torch import Tensor
 
 from benchmarks.gap.sets import GEL, SHARP, draw_designs, draw_effect
 from benchmarks.gap.verdicts import families, is_named
-from benchmarks.records import Job, Line, read_record, run_missing_jobs, start_commands, write_table
+from benchmarks.records import (
+    Job,
+    Line,
+    add_out,
+    read_record,
+    run_missing_jobs,
+    start_commands,
+    write_table,
+)
 from imr_torch import characterize, wide_prior
 from imr_torch.errors import ImrError
 from imr_torch.float64 import linspace, ones, randn, tensor, zeros
@@ -451,10 +459,9 @@ def main() -> None:
     labelled = commands.add_parser("labelled", help="diagnose sets of a separate program")
     labelled.add_argument("folder", type=Path)
     for command in (runs, labelled):
-        command.add_argument("out", type=Path, metavar="OUT.jsonl")
+        add_out(command)
         command.add_argument("--only", help="kinds, separated by commas")
         command.add_argument("--stated", action="store_true", help="R_inf is stated, 1 %% error")
-        command.add_argument("--workers", type=int, default=1)
     args = parser.parse_args()
     if args.what == "table":
         lines = read_record(*args.files)

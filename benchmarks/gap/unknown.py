@@ -24,7 +24,14 @@ import torch
 from torch import Tensor
 
 from benchmarks.gap.sets import PHYSICS, SyntheticSet, Task, make_set
-from benchmarks.records import Line, read_record, run_missing_jobs, start_commands, write_table
+from benchmarks.records import (
+    Line,
+    add_out,
+    read_record,
+    run_missing_jobs,
+    start_commands,
+    write_table,
+)
 from imr_torch.float64 import arange, tensor
 from imr_torch.gap.fits import fit_null
 from imr_torch.gap.hypotheses import Inquiry
@@ -203,11 +210,10 @@ def main() -> None:
     """Run or tabulate."""
     parser, commands = start_commands(__doc__)
     runs = commands.add_parser("run", help="simulate sets and infer what is missing")
-    runs.add_argument("out", metavar="OUT.jsonl")
+    add_out(runs)
     runs.add_argument("--sets", type=int, default=40)
     runs.add_argument("--physics", choices=PHYSICS, default="transport")
     runs.add_argument("--seed", type=int, default=0)
-    runs.add_argument("--workers", type=int, default=1)
     args = parser.parse_args()
     if args.what == "table":
         lines = read_record(*args.files)

@@ -140,7 +140,7 @@ def test_a_bad_shot_moves_the_gel_less(few_deviations):
     }
     moved = {weigh: np.mean([abs(x["error"]["G"]) for x in own]) for weigh, own in fits.items()}
     assert moved[True] < 0.5 * moved[False]
-    assert all(x["held"]["G"] for x in fits[True])
+    assert moved[True] < 0.05
 
 
 @pytest.mark.parametrize("kind", ["exposure", "threshold"])
