@@ -10,13 +10,11 @@ of the truths' normal scores (1 if intervals are right, above 1 if they are narr
 reported, of the fitted Gaussian and of the weighted draws. A run goes on where it stopped.
 """
 
-import argparse
 from collections import Counter
 from dataclasses import asdict, dataclass, field
 from functools import partial
-from pathlib import Path
 
-from benchmarks.records import Line, run_missing_jobs, write_table
+from benchmarks.records import Line, add_out, run_missing_jobs, start_parser, write_table
 from imr_torch.assimilate import NOISE_ROUNDS, En4DVarOptions, FitOptions, SearchOptions
 from imr_torch.calibration import Arrangement, calibrate, coverage, uniformity
 from imr_torch.design import Plan
@@ -100,17 +98,14 @@ def write_scores(lines: list[Line]) -> str:
 
 def main() -> None:
     """Run and tabulate."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("out", type=Path, metavar="OUT.jsonl")
+    parser = start_parser(__doc__)
+    add_out(parser)
     parser.add_argument("--case", choices=DESIGNS, default="soft-pa")
     parser.add_argument("--repeats", type=int, default=1, help="curves per design")
     parser.add_argument("--replicates", type=int, default=250)
     parser.add_argument("--physics", choices=SIMULATORS, default="polytropic")
     parser.add_argument("--variant", choices=VARIANTS, default="default")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--workers", type=int, default=1)
     args = parser.parse_args()
     own = (args.case, args.repeats, args.physics, args.variant, args.seed)
     jobs = {

@@ -12,7 +12,6 @@ believed to be at the end (criterion D); that of as many random designs, a media
 beside it. A run goes on where it stopped.
 """
 
-import argparse
 import time
 from functools import partial
 from pathlib import Path
@@ -21,7 +20,7 @@ from tempfile import TemporaryDirectory
 import torch
 from torch import Tensor
 
-from benchmarks.records import Figure, Line, run_missing_jobs, write_figures
+from benchmarks.records import Figure, Line, run_missing_jobs, start_parser, write_figures
 from imr_torch.campaign import Campaign, CampaignSettings, Optimal
 from imr_torch.design import (
     DesignMeasure,
@@ -164,9 +163,7 @@ def score_campaigns(lines: list[Line], designs: int) -> list[Figure]:
 
 def main() -> None:
     """Run and tabulate."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = start_parser(__doc__)
     parser.add_argument("out", type=Path, metavar="OUT.jsonl")
     parser.add_argument("--case", choices=CASES, default="stiff-pa")
     parser.add_argument("--physics", choices=SIMULATORS, default="transport")

@@ -14,7 +14,6 @@ A residual is over .004 in R* and .15 frames of jitter, as in the study that the
 next to collapses are left out. Rmax, time zero and R_inf are those of the fit.
 """
 
-import argparse
 from functools import partial
 from pathlib import Path
 
@@ -23,7 +22,15 @@ import torch
 from torch import Tensor
 
 from benchmarks.real_gels import SETS, standardise
-from benchmarks.records import Job, Line, read_record, run_missing_jobs, write_table
+from benchmarks.records import (
+    Job,
+    Line,
+    add_out,
+    read_record,
+    run_missing_jobs,
+    start_commands,
+    write_table,
+)
 from imr_torch import load_traces, wide_prior
 from imr_torch.assimilate import SearchOptions, assimilate
 from imr_torch.assimilate.starts import away_from_collapses
@@ -161,20 +168,14 @@ def write_page(lines: list[Line]) -> str:
 
 def main() -> None:
     """Run or tabulate."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    commands = parser.add_subparsers(dest="what", required=True)
+    parser, commands = start_commands(__doc__)
     runs = commands.add_parser("run")
     runs.add_argument("folder", type=Path)
-    runs.add_argument("out", type=Path)
+    add_out(runs)
     runs.add_argument("--shots", type=int, default=3)
-    runs.add_argument("--workers", type=int, default=1)
-    tables = commands.add_parser("table")
-    tables.add_argument("out", type=Path)
     args = parser.parse_args()
     if args.what == "table":
-        lines = read_record(args.out)
+        lines = read_record(*args.files)
     else:
         jobs = list_jobs(args.folder, args.shots)
         lines = run_missing_jobs(args.out, jobs, workers=args.workers)

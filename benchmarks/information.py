@@ -12,7 +12,6 @@ and too high with the datum's own gel among the draws (contrastive); the truth i
 error of the data, which all estimators here draw for themselves.
 """
 
-import argparse
 import statistics
 import time
 from collections.abc import Callable, Sequence
@@ -25,7 +24,7 @@ from scipy.stats import spearmanr
 from torch import Tensor
 
 from benchmarks.nested import NestedMonteCarlo, PriorContrastive
-from benchmarks.records import Job, Line, run_missing_jobs, write_table
+from benchmarks.records import Job, Line, run_missing_jobs, start_parser, write_table
 from imr_torch.design import (
     DesignSpace,
     ExpectedInformationGain,
@@ -247,9 +246,7 @@ def write_bounds(lines: Sequence[Line]) -> str:
 
 def main() -> None:
     """Measure and tabulate."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = start_parser(__doc__)
     parser.add_argument("part", choices=("model", "ranking", "searching", "cost", "coarse"))
     parser.add_argument("--out", type=Path, default=RECORD, metavar="OUT.jsonl")
     parser.add_argument("--workers", type=int, default=1, help="processes, one thread each")

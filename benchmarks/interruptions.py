@@ -14,7 +14,6 @@ answer is that the curve is known. The journal must be that of the uninterrupted
 temporary file may be left. Polytropic gas, small searches, no figures.
 """
 
-import argparse
 import contextlib
 import errno
 import os
@@ -29,6 +28,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+from benchmarks.records import start_parser
 from imr_torch import example_gel
 from imr_torch.assimilate import SearchOptions
 from imr_torch.cli import common, main
@@ -349,9 +349,7 @@ def _expect(ended: Ended, good: bool) -> str | None:
 
 def start() -> None:
     """Run the benchmark from the command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = start_parser(__doc__)
     parser.add_argument("--data", type=Path, default=EXAMPLE)
     parser.add_argument("--experiments", default="shot_1,shot_2,shot_3")
     parser.add_argument(

@@ -17,7 +17,6 @@ that of the other kind (liquids for gels, gels for liquids, the placebo).
 one k, a k of each gel's own, or none.
 """
 
-import argparse
 import math
 from collections.abc import Sequence
 from functools import partial
@@ -27,7 +26,15 @@ import torch
 
 from benchmarks.growth import NOISE, residual_of
 from benchmarks.real_gels import SETS, read_curves
-from benchmarks.records import Figure, Job, Line, read_record, run_missing_jobs, write_table
+from benchmarks.records import (
+    Figure,
+    Job,
+    Line,
+    read_record,
+    run_missing_jobs,
+    start_commands,
+    write_table,
+)
 from imr_torch import PolytropicSimulator, characterize, wide_prior
 from imr_torch.assimilate import SearchOptions, assimilate
 from imr_torch.characterization import medium_of
@@ -300,10 +307,7 @@ def write_simulated(lines: Sequence[Line]) -> str:
 
 def main() -> None:
     """Fit, run, simulate or tabulate."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    commands = parser.add_subparsers(dest="what", required=True)
+    parser, commands = start_commands(__doc__)
     fits = commands.add_parser("fit")
     fits.add_argument("folder", type=Path)
     fits.add_argument("results", type=Path)
@@ -315,8 +319,6 @@ def main() -> None:
     simulations = commands.add_parser("simulate")
     simulations.add_argument("out", type=Path)
     simulations.add_argument("--count", type=int, default=20)
-    tables = commands.add_parser("table")
-    tables.add_argument("out", type=Path)
     args = parser.parse_args()
     if args.what == "fit":
         fit_sets(args.folder, args.results, args.parts.split(","))
@@ -325,7 +327,7 @@ def main() -> None:
         run_missing_jobs(args.out, list_jobs(args.folder, args.results))
     if args.what == "simulate":
         run_missing_jobs(args.out, list_simulations(args.count))
-    print(write_page(read_record(args.out)))
+    print(write_page(read_record(*(args.files if args.what == "table" else [args.out]))))
 
 
 if __name__ == "__main__":

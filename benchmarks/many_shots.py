@@ -8,14 +8,13 @@ from .16 to .26, with .003 in R* of noise. The model is NHKV with the wide prior
 default.
 """
 
-import argparse
 import time
 from functools import partial
 from pathlib import Path
 
 import torch
 
-from benchmarks.records import Line, run_missing_jobs, write_table
+from benchmarks.records import Line, run_missing_jobs, start_parser, write_table
 from benchmarks.solver import TIMES, draws, seconds_of
 from imr_torch import characterize, wide_prior
 from imr_torch.float64 import linspace, rand, randn, tensor
@@ -75,9 +74,7 @@ def measure_cost(shots: int, frames: int) -> Line:
 
 def main() -> None:
     """Run and tabulate."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = start_parser(__doc__)
     parser.add_argument("out", type=Path, metavar="OUT.jsonl")
     parser.add_argument("--shots", default="4,20", help="comma-separated")
     parser.add_argument("--frames", type=int, default=60, help="of each simulated curve")

@@ -11,7 +11,6 @@ bubbles; what is compiled once is timed apart. torchdiffeq and SciPy get their o
 right-hand side of Keller-Miksis, written here.
 """
 
-import argparse
 import json
 import subprocess
 import sys
@@ -39,6 +38,7 @@ from benchmarks.pyimr_process import (
     Bubbles,
     Peer,
 )
+from benchmarks.records import start_parser
 from imr_torch.elementary import Scalar
 from imr_torch.float64 import tensor, zeros
 from imr_torch.material import PARAMETERS
@@ -356,9 +356,7 @@ def explain_full_physics(python: str, folder: Path) -> list[dict[str, Any]]:
 
 def main() -> None:
     """Measure, print, write."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = start_parser(__doc__)
     parser.add_argument(
         "--python", default="python3.12", help="interpreter of PyIMR, 3.12 or later"
     )

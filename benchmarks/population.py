@@ -10,18 +10,16 @@ right if the inference is exact), a third have none (false alarms), and the othe
 .2 or .4 in ln G and none in mu (power). A run goes on where it stopped.
 """
 
-import argparse
 import statistics
 import time
 import warnings
 from collections import Counter
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import torch
 
-from benchmarks.records import Figure, Line, run_missing_jobs, write_figures
+from benchmarks.records import Figure, Line, add_out, run_missing_jobs, start_parser, write_figures
 from imr_torch import PolytropicSimulator
 from imr_torch.assimilate import SearchOptions
 from imr_torch.errors import ImrError
@@ -151,16 +149,13 @@ def score_populations(lines: list[Line]) -> str:
 def main() -> None:
     """Run and tabulate."""
     warnings.simplefilter("ignore")
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = start_parser(__doc__)
     commands = parser.add_subparsers(dest="what", required=True)
     runs = commands.add_parser("run")
     runs.add_argument("--noise", choices=("known", "estimated"), default="known")
     runs.add_argument("--populations", type=int, default=300)
-    runs.add_argument("out", type=Path, metavar="OUT.jsonl")
+    add_out(runs)
     runs.add_argument("--seed", type=int, default=0)
-    runs.add_argument("--workers", type=int, default=1)
     args = parser.parse_args()
     numbers = range(args.populations)
     jobs = {f"{n}": partial(infer_one, n, args.seed, args.noise) for n in numbers}

@@ -18,7 +18,6 @@ vapour transport. Tasks:
 `table` writes one page, with the controls (`real_gels_controls.py`).
 """
 
-import argparse
 import json
 import time
 import warnings
@@ -31,7 +30,7 @@ import torch
 from torch import Tensor
 
 from benchmarks.real_gels_page import write_page
-from benchmarks.records import Line, read_record, run_missing_jobs
+from benchmarks.records import Line, add_out, read_record, run_missing_jobs, start_parser
 from imr_torch import characterize, load_traces
 from imr_torch.assimilate import SearchOptions
 from imr_torch.characterization import medium_of
@@ -234,17 +233,14 @@ def run_task(file: Path, task: str, most: int) -> Line:
 
 def main() -> None:
     """Parse and run."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = start_parser(__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     work = commands.add_parser("run")
     work.add_argument("folder", type=Path)
-    work.add_argument("out", type=Path, metavar="OUT.jsonl")
+    add_out(work)
     work.add_argument("--sets", default="", help="only names that begin so, comma-separated")
     work.add_argument("--tasks", default=",".join(TASKS), help="comma-separated")
     work.add_argument("--max-curves", type=int, default=4, help="most curves of a set; 0 for all")
-    work.add_argument("--workers", type=int, default=1)
     show = commands.add_parser("table")
     show.add_argument("out", type=Path, metavar="OUT.jsonl")
     show.add_argument("page", type=Path, metavar="PAGE.md")

@@ -7,6 +7,7 @@ Biometrika 26, 1934), means those of a normal distribution, quantiles those of o
 hold 90 %.
 """
 
+import argparse
 import ast
 import hashlib
 import json
@@ -234,3 +235,25 @@ def write_table(head: Sequence[object], rows: Iterable[Sequence[object]]) -> str
     cells = [[f"{x:.4g}" if isinstance(x, float) else str(x) for x in row] for row in (head, *rows)]
     first, *others = (f"| {' | '.join(row)} |" for row in cells)
     return "\n".join((first, "|" + "---|" * len(head), *others))
+
+
+def start_parser(doc: str | None) -> argparse.ArgumentParser:
+    """Of a command that its module's docstring describes."""
+    return argparse.ArgumentParser(
+        description=doc, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+
+
+def start_commands(doc: str | None) -> tuple[argparse.ArgumentParser, Any]:
+    """The same with commands (``what``), of which ``table`` has ``files``; others can be added."""
+    parser = start_parser(doc)
+    commands = parser.add_subparsers(dest="what", required=True)
+    tables = commands.add_parser("table", help="score the lines of runs")
+    tables.add_argument("files", nargs="+", metavar="OUT.jsonl")
+    return parser, commands
+
+
+def add_out(parser: argparse.ArgumentParser) -> None:
+    """The record that a run writes, and in how many processes."""
+    parser.add_argument("out", type=Path, metavar="OUT.jsonl")
+    parser.add_argument("--workers", type=int, default=1)

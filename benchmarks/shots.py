@@ -8,16 +8,22 @@ Rmax, time zero and R_inf. A campaign of searched designs ends by the rule of th
 of each seed, in the place of draws of the belief, where the target is not about several models.
 """
 
-import argparse
 import math
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from torch import Tensor
 
-from benchmarks.records import Figure, Line, run_missing_jobs, write_figures, write_table
+from benchmarks.records import (
+    Figure,
+    Line,
+    add_out,
+    run_missing_jobs,
+    start_parser,
+    write_figures,
+    write_table,
+)
 from imr_torch.campaign import (
     Campaign,
     CampaignSettings,
@@ -155,13 +161,10 @@ def write_shots(lines: list[Line], predicted: Line, gels: list[Line]) -> str:
 
 def main() -> None:
     """Run and tabulate."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("out", type=Path, metavar="OUT.jsonl")
+    parser = start_parser(__doc__)
+    add_out(parser)
     parser.add_argument("--setting", choices=SETTINGS, default="soft")
     parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--workers", type=int, default=1)
     args = parser.parse_args()
     name = args.setting
     jobs = {f"{name}/predicted": partial(predict_shots, name)}

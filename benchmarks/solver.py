@@ -10,7 +10,6 @@ physics against its `reference` setting. Beside them, in the same run, what a us
 this package: torchdiffeq's dopri5 with one step for the batch, and SciPy bubble by bubble.
 """
 
-import argparse
 import json
 import os
 import resource
@@ -26,6 +25,7 @@ import numpy as np
 import torch
 from torchdiffeq import odeint
 
+from benchmarks.records import start_parser
 from imr_torch.float64 import linspace, rand, tensor
 from imr_torch.material import reference_case
 from imr_torch.simulate import (
@@ -175,9 +175,7 @@ def measure_device(device: str) -> dict[str, float]:
 
 def main() -> None:
     """Measure, print, write."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = start_parser(__doc__)
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--device", default="cpu")
     args = parser.parse_args()

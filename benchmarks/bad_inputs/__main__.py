@@ -1,6 +1,5 @@
 """Run the bad inputs from the command line, and count what came of them."""
 
-import argparse
 import sys
 import tempfile
 from collections import Counter
@@ -10,13 +9,12 @@ import torch
 
 import benchmarks.bad_inputs as bad_inputs
 from benchmarks.bad_inputs import Outcome, cases, prepared, tried
+from benchmarks.records import start_parser
 
 
 def start() -> int:
     """Run the benchmark from the command line."""
-    parser = argparse.ArgumentParser(
-        description=bad_inputs.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = start_parser(bad_inputs.__doc__)
     parser.add_argument("--only", default="", help="cases whose name holds this")
     parser.add_argument("--kind", default="", help="cases of this kind")
     parser.add_argument(

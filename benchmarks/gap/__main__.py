@@ -18,7 +18,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from benchmarks.records import DECIDING, hash_code, read_record, write_table
+from benchmarks.records import DECIDING, hash_code, read_record, start_parser, write_table
 
 RECORDS = Path(__file__).resolve().parents[1] / "records"
 
@@ -57,9 +57,7 @@ def write_versions(folder: Path = RECORDS) -> str:
 
 def main() -> None:
     """Run every path, or print which code made the records."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = start_parser(__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     runs = commands.add_parser("run", help="every path, one after the other")
     runs.add_argument("folder", type=Path)

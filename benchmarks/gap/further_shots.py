@@ -13,7 +13,6 @@ beside them. Where a rival leaves as little as noise there, no shots of this kin
 apart, however they are chosen.
 """
 
-import argparse
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -34,7 +33,7 @@ from benchmarks.gap.sets import (
 )
 from benchmarks.gap.signals import beside_rival
 from benchmarks.gap.verdicts import families, is_named_alone
-from benchmarks.records import Figure, Line, read_record, write_figures
+from benchmarks.records import Figure, Line, read_record, start_commands, write_figures
 from imr_torch.campaign import DesignPolicy, Random, Situation
 from imr_torch.design import DesignSpace, Plan
 from imr_torch.errors import ConvergenceError
@@ -186,25 +185,20 @@ def _spread_designs() -> torch.Tensor:
 
 def main() -> None:
     """Run, tabulate, or refit rivals."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    commands = parser.add_subparsers(dest="command", required=True)
+    parser, commands = start_commands(__doc__)
     add_task_arguments(commands.add_parser("run", help="make and diagnose sets"))
-    tables = commands.add_parser("table", help="score the lines of runs")
-    tables.add_argument("files", nargs="+", metavar="OUT.jsonl")
     limits = commands.add_parser("rivals", help="could any shots tell the causes apart?")
     limits.add_argument("file", type=Path, metavar="OUT.jsonl")
     limits.add_argument("--physics", choices=PHYSICS, help="if another than that of the sets")
     args = parser.parse_args()
-    if args.command == "rivals":
+    if args.what == "rivals":
         for line in read_record(args.file):
             if line.get("ambiguous"):
                 left = measure_rivals(line, args.physics or line["physics"])
                 words = (f"{x} {few:.1f} to {many:.1f}" for x, (few, many) in left.items())
                 print(f"{line['key']}: {line['truth']} beside {', '.join(words)} sd", flush=True)
         return
-    table = args.command == "table"
+    table = args.what == "table"
     lines = read_record(*args.files) if table else run_tasks(args, ("next",), compare_designs)
     print(write_figures(score_shots(lines)))
 

@@ -24,7 +24,15 @@ from pathlib import Path
 
 from benchmarks.gap.sets import PHYSICS, TRUTHS, Task, make_set
 from benchmarks.gap.verdicts import families, is_in_class, is_named, posterior_of, summarise
-from benchmarks.records import Figure, Line, read_record, run_missing_jobs, write_figures
+from benchmarks.records import (
+    Figure,
+    Line,
+    add_out,
+    read_record,
+    run_missing_jobs,
+    start_commands,
+    write_figures,
+)
 from imr_torch.errors import ConvergenceWarning
 from imr_torch.gap import diagnose
 from imr_torch.observe import load_set
@@ -203,21 +211,15 @@ def run_tasks(
 
 def main() -> None:
     """Run or tabulate."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    commands = parser.add_subparsers(dest="command", required=True)
+    parser, commands = start_commands(__doc__)
     add_task_arguments(commands.add_parser("run", help="make and diagnose sets"))
     labelled = commands.add_parser("labelled", help="diagnose sets of a separate program")
     labelled.add_argument("folder", type=Path)
-    labelled.add_argument("out", type=Path, metavar="OUT.jsonl")
-    labelled.add_argument("--workers", type=int, default=1)
-    tables = commands.add_parser("table", help="score the lines of runs")
-    tables.add_argument("files", nargs="+", metavar="OUT.jsonl")
+    add_out(labelled)
     args = parser.parse_args()
-    if args.command == "table":
+    if args.what == "table":
         lines = read_record(*args.files)
-    elif args.command == "labelled":
+    elif args.what == "labelled":
         lines = run_labelled(args.folder, args.out, args.workers)
     else:
         lines = run_tasks(args, KINDS, diagnose_set)

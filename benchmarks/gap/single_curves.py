@@ -34,7 +34,15 @@ from torch import Tensor
 
 from benchmarks.gap.sets import GEL, SHARP, draw_designs, draw_effect
 from benchmarks.gap.verdicts import families, is_named
-from benchmarks.records import Job, Line, read_record, run_missing_jobs, write_table
+from benchmarks.records import (
+    Job,
+    Line,
+    add_out,
+    read_record,
+    run_missing_jobs,
+    start_commands,
+    write_table,
+)
 from imr_torch import characterize, wide_prior
 from imr_torch.errors import ImrError
 from imr_torch.float64 import linspace, ones, randn, tensor, zeros
@@ -55,7 +63,7 @@ from imr_torch.observe import (
 )
 from imr_torch.observe.nuisance import FLOOR
 from imr_torch.random import child, generator
-from imr_torch.simulate import ACCURACIES, TransportSimulator, fewer_steps
+from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator, fewer_steps
 from imr_torch.units import Surroundings
 
 TRUTH = TransportSimulator(accuracy=SHARP, threads=1)
@@ -286,10 +294,19 @@ def _give_noise(batch: ExperimentBatch, laws: Sequence[Noise]) -> ExperimentBatc
     return replace(batch, experiments=experiments, noise=laws[0])
 
 
-def characterize_traces(traces: TraceSet, truth: Line, seed: int) -> Line:
-    """P-value and whether intervals hold G and mu, by ``characterize`` with one model."""
+def characterize_traces(
+    traces: TraceSet, truth: Line, seed: int, *, simulator: Simulator = FITS, weigh: bool = True
+) -> Line:
+    """P-value, whether intervals hold G and mu and how far their medians are off, by
+    ``characterize`` with one model.
+    """
     result = characterize(
-        traces, prior=wide_prior(["nhkv"]), simulator=FITS, medium="density=1060", seed=seed
+        traces,
+        prior=wide_prior(["nhkv"]),
+        simulator=simulator,
+        medium="density=1060",
+        weigh_odd_shots=weigh,
+        seed=seed,
     )
     test = result.fit_test
     intervals = result.to_dict()["models"]["nhkv"]["intervals"]  # type: ignore[index,call-overload]
@@ -298,6 +315,7 @@ def characterize_traces(traces: TraceSet, truth: Line, seed: int) -> Line:
         "parts": None if parts is None else {"agree": parts.agree, "shifts": parts.compared},
         "p_fit": None if test is None else test.p_value,
         "held": {name: intervals[name][0] <= truth[name] <= intervals[name][2] for name in GEL},
+        "error": {name: math.log(intervals[name][1] / truth[name]) for name in GEL},
         "verdict_fit": result.assimilation.fits[0].verdict.value,
     }
 
@@ -431,10 +449,7 @@ def _write_named(kind: str, lines: Sequence[Line]) -> str:
 
 def main() -> None:
     """Run or tabulate."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    commands = parser.add_subparsers(dest="what", required=True)
+    parser, commands = start_commands(__doc__)
     runs = commands.add_parser("run", help="simulate sets and diagnose them")
     runs.add_argument("--sets", type=int, default=275)
     runs.add_argument("--seed", type=int, default=SEED, help="other sets by another one")
@@ -444,12 +459,9 @@ def main() -> None:
     labelled = commands.add_parser("labelled", help="diagnose sets of a separate program")
     labelled.add_argument("folder", type=Path)
     for command in (runs, labelled):
-        command.add_argument("out", type=Path, metavar="OUT.jsonl")
+        add_out(command)
         command.add_argument("--only", help="kinds, separated by commas")
         command.add_argument("--stated", action="store_true", help="R_inf is stated, 1 %% error")
-        command.add_argument("--workers", type=int, default=1)
-    tables = commands.add_parser("table", help="score the lines of runs")
-    tables.add_argument("files", nargs="+", metavar="OUT.jsonl")
     args = parser.parse_args()
     if args.what == "table":
         lines = read_record(*args.files)

@@ -16,7 +16,6 @@ law's memory integrated there. It is compared with the inferred one where the bu
 the inverse square of the stated error (correlation) or by its own square (share inside the 90 % band).
 """
 
-import argparse
 import math
 import time
 from functools import partial
@@ -25,7 +24,14 @@ import torch
 from torch import Tensor
 
 from benchmarks.gap.sets import PHYSICS, SyntheticSet, Task, make_set
-from benchmarks.records import Line, read_record, run_missing_jobs, write_table
+from benchmarks.records import (
+    Line,
+    add_out,
+    read_record,
+    run_missing_jobs,
+    start_commands,
+    write_table,
+)
 from imr_torch.float64 import arange, tensor
 from imr_torch.gap.fits import fit_null
 from imr_torch.gap.hypotheses import Inquiry
@@ -202,18 +208,12 @@ def write_scores(lines: list[Line]) -> str:
 
 def main() -> None:
     """Run or tabulate."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    commands = parser.add_subparsers(dest="what", required=True)
+    parser, commands = start_commands(__doc__)
     runs = commands.add_parser("run", help="simulate sets and infer what is missing")
-    runs.add_argument("out", metavar="OUT.jsonl")
+    add_out(runs)
     runs.add_argument("--sets", type=int, default=40)
     runs.add_argument("--physics", choices=PHYSICS, default="transport")
     runs.add_argument("--seed", type=int, default=0)
-    runs.add_argument("--workers", type=int, default=1)
-    table = commands.add_parser("table", help="score the lines of runs")
-    table.add_argument("files", nargs="+", metavar="OUT.jsonl")
     args = parser.parse_args()
     if args.what == "table":
         lines = read_record(*args.files)

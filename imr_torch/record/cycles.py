@@ -26,7 +26,7 @@ class RecordOptions:
             the skewness are taken at .5.
         above_rest: the same over R_inf, since nearer to it the contents push back.
         least_frames: of a cycle.
-        beyond: frames by which a curve is continued, since the level of the chord lies between two.
+        beyond: frames by which a curve is continued: the level of the chord lies between two.
         cycles: that are described.
         odd: prior probability that a shot stands out in one quantity.
         wide: standard deviation of shots that stand out, over that of the others.
@@ -46,7 +46,7 @@ class RecordOptions:
     lowest: float = 0.45
     above_rest: float = 1.3
     least_frames: int = 9
-    beyond: float = 0.7
+    beyond: float = 1.0
     cycles: int = 3
     odd: float = 0.1
     wide: float = 5.0

@@ -3,6 +3,7 @@ it that keep their level.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
@@ -28,6 +29,32 @@ from tests.linear import LinearSimulator, tensor
 from tests.linear import prior as linear_prior
 
 
+def shoot(
+    see: Callable[[torch.Tensor, torch.Tensor, int, torch.Generator], torch.Tensor],
+    effect: dict[str, float] | None = None,
+    *,
+    seed: int = 0,
+    spacings: tuple[float, ...] = (0.04,) * 3,
+    jitter: float | None = None,
+) -> ExperimentBatch:
+    """What is seen of three true curves of a gel, perhaps with an effect, whose frames may come too
+    early or late by a share of their spacing.
+    """
+    source = generator(seed)
+    experiments = []
+    for shot, (spacing, design) in enumerate(zip(spacings, DESIGNS, strict=True)):
+        times = arange(0.0, 2.6, spacing)
+        moved = times
+        if jitter is not None:
+            off = jitter * spacing * randn(len(times), generator=source)
+            moved = (times + off).clamp_min(0.0).sort().values
+        blank = Experiment(f"shot {shot}", design, moved, ones(1, len(times)))
+        gel = PARAMETERS.pack(GEL | (effect or {}))[None]
+        truth = predict(SIMULATOR, gel, ExperimentBatch((blank,)))[0, 0]
+        experiments.append(replace(blank, times=times, radius=see(truth, times, shot, source)))
+    return ExperimentBatch(tuple(experiments))
+
+
 def curves(
     noise: Noise,
     effect: dict[str, float] | None = None,
@@ -36,18 +63,19 @@ def curves(
     spacing: float = 0.04,
     factors=(1.0, 1.0, 1.0),
 ) -> ExperimentBatch:
-    """Three single curves of a gel, perhaps with an effect, and their true noise by curve."""
-    source = generator(seed)
-    experiments = []
-    times = arange(0.0, 2.6, spacing)
-    for design, factor in zip(DESIGNS, factors, strict=True):
-        blank = Experiment(f"{design}", design, times, ones(1, len(times)))
-        truth = predict(
-            SIMULATOR, PARAMETERS.pack(GEL | (effect or {}))[None], ExperimentBatch((blank,))
-        )[0, 0]
-        own = replace(noise, scale=noise.scale * factor)
-        experiments.append(replace(blank, radius=own.draw(truth, times, 1, generator=source)))
-    return ExperimentBatch(tuple(experiments))
+    """Noise by a law, in each curve times a factor."""
+    laws = [replace(noise, scale=noise.scale * factor) for factor in factors]
+    return shoot(
+        lambda r, t, shot, source: laws[shot].draw(r, t, 1, generator=source),
+        effect,
+        seed=seed,
+        spacings=(spacing,) * 3,
+    )
+
+
+def pixels(size: float):
+    """Constant noise."""
+    return lambda r, t, shot, source: r[None] + size * randn(1, len(r), generator=source)
 
 
 def near(batch: ExperimentBatch) -> Neighbourhood:
@@ -119,30 +147,11 @@ def test_that_the_law_is_recovered_at_other_frame_rates(spacing, largest):
     )
 
 
-def jittered(seed: int, jitter: float, effect: dict[str, float]) -> ExperimentBatch:
-    """Three curves with constant noise, whose frames come too early or late by a share of their
-    spacing.
-    """
-    source = generator(seed)
-    spacing = 0.04
-    times = arange(0.0, 2.6, spacing)
-    experiments = []
-    for design in DESIGNS:
-        off = jitter * spacing * randn(len(times), generator=source)
-        moved = (times + off).clamp_min(0.0).sort().values
-        blank = Experiment(f"{design}", design, moved, torch.ones(1, len(times)))
-        gel = PARAMETERS.pack(GEL | effect)[None]
-        truth = predict(SIMULATOR, gel, ExperimentBatch((blank,)))[0]
-        pixels = 0.002 * randn(truth.shape, generator=source)
-        experiments.append(Experiment(f"{design}", design, times, truth + pixels))
-    return ExperimentBatch(tuple(experiments), Noise(kink=FIRST_KINK))
-
-
 def test_that_frames_next_to_collapses_have_noise_of_their_own_where_the_camera_gives_it():
     """Taken for frames like the others, they make p-values where there is no gap a hundredth."""
 
     def found(jitter: float, prior: FrameNoisePrior, **effect: float) -> tuple[float, float]:
-        batch = jittered(0, jitter, effect)
+        batch = replace(shoot(pixels(0.002), effect, jitter=jitter), noise=Noise(kink=FIRST_KINK))
         for _ in range(2):
             batch = infer_frame_noise(near(batch), prior).applied(batch)
         test = adequacy_test(fit(batch), (LIBRARY["wall"],), batch, SIMULATOR, seed=0).test
@@ -223,17 +232,11 @@ def test_that_a_handful_of_frames_is_not_taken_for_quiet():
 
 
 def test_that_repeats_decide_where_there_are_some():
-    source = generator(2)
-    times = arange(0.0, 2.6, 0.04)
     noise = Noise(scale=1.5, correlation_time=0.1)
-    shots = []
-    for design in DESIGNS:
-        blank = Experiment(f"{design}", design, times, ones(1, len(times)))
-        truth = predict(
-            SIMULATOR, PARAMETERS.pack(GEL | {"wall": 0.2})[None], ExperimentBatch((blank,))
-        )[0, 0]
-        shots.append(replace(blank, radius=noise.draw(truth, times, 10, generator=source)))
-    found = infer_frame_noise(near(ExperimentBatch(tuple(shots))))
+    batch = shoot(
+        lambda r, t, shot, source: noise.draw(r, t, 10, generator=source), {"wall": 0.2}, seed=2
+    )
+    found = infer_frame_noise(near(batch))
     assert found.law.scale == pytest.approx(1.5, rel=0.1)
     assert found.law.correlation_time == pytest.approx(0.1, rel=0.25)
     assert not found.laws.of_residuals
@@ -244,17 +247,7 @@ def test_that_pixel_noise_at_several_frame_rates_makes_no_gap_and_a_wall_does(se
     """As a camera of one frame rate films bubbles of several sizes: no law of sizes and times."""
 
     def p_value(effect: dict[str, float]) -> float:
-        source = generator(seed)
-        experiments = []
-        for spacing, design in zip((0.04, 0.03, 0.02), DESIGNS, strict=True):
-            times = arange(0.0, 2.6, spacing)
-            blank = Experiment(f"{spacing}", design, times, ones(1, len(times)))
-            truth = predict(
-                SIMULATOR, PARAMETERS.pack(GEL | effect)[None], ExperimentBatch((blank,))
-            )[0]
-            pixels = 0.004 * randn(truth.shape, generator=source)
-            experiments.append(replace(blank, radius=truth + pixels))
-        batch = ExperimentBatch(tuple(experiments))
+        batch = shoot(pixels(0.004), effect, seed=seed, spacings=(0.04, 0.03, 0.02))
         batch = infer_frame_noise(near(batch)).applied(batch)
         return adequacy_test(fit(batch), (LIBRARY["wall"],), batch, SIMULATOR, seed=0).test.p_value
 

@@ -2,11 +2,8 @@
 Kelvin-Voigt medium, integrated forwards and backwards from the maximum by SciPy.
 """
 
-import numpy as np
-import torch
 from scipy.integrate import solve_ivp
 
-from imr_torch.observe import Given, RadiusTrace
 from imr_torch.simulate.conditions import saturation_pressure
 from imr_torch.units import Surroundings
 
@@ -28,8 +25,9 @@ def wall_pressure(radius, speed, rest, modulus, viscosity, polytropic=1.4):
     return pressure, slope * speed / radius
 
 
-def paths(top, rest, modulus, viscosity, *, near=0.0, lowest=0.25):
-    """Growth (in negative time) and collapse as dense solutions.
+def make_rate(top, rest, modulus, viscosity, near=0.0):
+    """Rate of ``(radius, speed)``, or of these with the amplitude of shape mode 2 and its rate:
+    Plesset, J. Appl. Phys. 25, 1954, in a viscous liquid without vorticity.
 
     Args:
         top: maximum radius, m.
@@ -37,40 +35,59 @@ def paths(top, rest, modulus, viscosity, *, near=0.0, lowest=0.25):
         modulus: Pa.
         viscosity: Pa s.
         near: a wall or another bubble, which adds ``near d(R^2 U)/dt / top`` to the balance.
-        lowest: radius over the maximum at which they end.
     """
     density, sound = LIQUID.density, LIQUID.sound_speed
+    kinematic = viscosity / density
 
     def rate(_, state):
-        radius, speed = state
+        radius, speed, *shape = state
         pressure, change = wall_pressure(radius, speed, rest, modulus, viscosity)
         mach = speed / sound
         push = (1 + mach) * pressure / density + radius * change / (density * sound)
         push -= 1.5 * speed**2 * (1 - mach / 3) + near * 2 * radius * speed**2 / top
         inertia = (1 - mach) * radius + 4 * viscosity / (density * sound) + near * radius**2 / top
-        return [speed, push / inertia]
+        bend = push / inertia
+        if not shape:
+            return [speed, bend]
+        stiff = 12 * LIQUID.surface_tension / density + 8 * kinematic * speed
+        drag = 3 * speed / radius + 40 * kinematic / radius**2
+        return [
+            speed,
+            bend,
+            shape[1],
+            (bend / radius - stiff / radius**3) * shape[0] - drag * shape[1],
+        ]
+
+    return rate
+
+
+def paths(*bubble, near=0.0, lowest=0.25, last=None):
+    """Growth (in negative time) and collapse as dense solutions.
+
+    Args:
+        bubble: of :func:`make_rate`.
+        near: the same.
+        lowest: radius over the maximum at which they end.
+        last: t* at which the second ends instead; it has the shape mode then, as large as the
+            bubble at the maximum.
+    """
+    top = bubble[0]
+    unit = float(LIQUID.time_scale(top))
 
     def too_small(_, state):
         return state[0] - lowest * top
 
     too_small.terminal = True
-    last = 3 * float(LIQUID.time_scale(top))
+    shape = [] if last is None else [top, 0]
     return [
         solve_ivp(
-            rate, (0, end), [top, 0], rtol=1e-8, atol=1e-12, events=too_small, dense_output=True
+            make_rate(*bubble, near),
+            (0, end * unit),
+            [top, 0, *shape],
+            rtol=1e-8,
+            atol=1e-12,
+            events=too_small if last is None or end < 0 else None,
+            dense_output=True,
         )
-        for end in (-last, last)
+        for end in (-3, last or 3)
     ]
-
-
-def record(name, top, rest, modulus, viscosity, *, rng, frames=60, noise=0.003, near=0.0):
-    """A record from growth to collapse with noise over the maximum radius."""
-    growth, collapse = paths(top, rest, modulus, viscosity, near=near)
-    times = np.linspace(growth.t[-1], collapse.t[-1], frames + 1)[:-1]
-    times = times + rng.uniform() * (times[1] - times[0])
-    clean = np.where(
-        times < 0, growth.sol(np.minimum(times, 0))[0], collapse.sol(np.maximum(times, 0))[0]
-    )
-    radius = clean + noise * top * rng.standard_normal(frames)
-    given = Given(rest_radius_m=rest, rest_settled=True)
-    return RadiusTrace(name, torch.tensor(times), torch.tensor(radius), "example", given)
