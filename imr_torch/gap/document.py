@@ -152,14 +152,14 @@ def _values(report: GapReport, parts: Parts) -> Document:
     """The parameters of the gel and of the named cause, with 90 % intervals."""
     within = report.within_misfit
     named = report.selected_fit if report.verdict in ("effect", "class") else None
-    nearest = report.selected_fit if within and report.selected.parts else named
     base = intervals((within.own if within else report.null).posterior)
+    quoted = intervals(report.quoted[0].posterior)
     shift = None
-    if nearest is not None:
-        beside = intervals(nearest.posterior)
+    if named or (within and report.selected.parts):
+        beside = intervals(report.selected_fit.posterior)
         shift = {n: {"base": own, "with_cause": beside[n]} for n, own in base.items()}
     return {
-        "parameters": {n: x["with_cause"] for n, x in shift.items()} if named and shift else base,
+        "parameters": {name: quoted[name] for name in base},
         "widened": within is not None,
         "parameters_with_model_error": _read(parts.model_error, attrgetter("intervals")),
         "parameter_bound_sd": _read(parts.model_error, attrgetter("bound")),
