@@ -16,7 +16,7 @@ from matplotlib.image import imread
 
 from imr_torch.errors import ConvergenceError
 from imr_torch.float64 import linspace, tensor
-from imr_torch.gap import describe, diagnose, examine, library, to_json
+from imr_torch.gap import MediumSensitivity, describe, diagnose, examine, library, to_json
 from imr_torch.gap.document import _fill_template, hidden_row, sections, shown, title
 from imr_torch.gap.figures import gap_figures
 from imr_torch.material import LIBRARY, PARAMETERS
@@ -138,7 +138,9 @@ def answered(document: dict, answer: str, shared: str, *, helps: bool | None) ->
         "verdict": verdict,
         "cause": cause,
         "members": members,
-        "posterior": members,
+        # another verdict rests on what was asked about beside the parts that were selected
+        "posterior": {"other": 1.0} if verdict == "other" else members,
+        "members_held": parts if verdict == "other" else document["held"],
         "selected": parts,
         "shrinkage": None if parts == ["gel_scatter"] else shrinkage,
         "next_design": ahead,
@@ -185,6 +187,9 @@ def contradictions(document: dict) -> list[str]:
         != (
             f"unknown effect that looks like it (probability {members.get('other', 0):.2f})" in head
         ),
+        "a probability behind the headline is not printed": verdict == "other"
+        and any(f"{name} {p:.3f}" not in text for name, p in members.items())
+        and len(members) > 1,
         "a likely effect beside other is not said": verdict == "other"
         and "slow_noise" not in members
         and in_head != likely,
@@ -286,13 +291,17 @@ def test_that_gels_that_differ_are_listed_shot_by_shot(documents):
 
 
 def test_that_text_and_page_begin_and_end_with_what_to_quote(documents):
+    moves = (("far_field_pressure", "101 kPa", 2.1), ("sound_speed", "1430 m/s", 0.9))
+    found = [MediumSensitivity(n, x, 1.02, {"G": -0.1}, {"G": -sd}).to_dict() for n, x, sd in moves]
+    medium = {"medium_unstated": "Not stated: density.", "medium_sentence": "M."}
     for name, document in documents.items():
-        unstated = document | {"medium_unstated": "Not stated: density.", "medium_sentence": "M."}
+        unstated = document | medium | {"medium_sensitivities": found}
         last = describe(unstated).splitlines()[-1].strip()
         page = document_page(unstated).partition("<section>")[0]
         assert last in page
         assert "Not stated: density." in page
-        assert ("density was not measured" in last) is last.startswith("Quote for")
+        for said in ("density was not", "for the assumed pressure 101 kPa;", "the model may lack)"):
+            assert (said in last) is last.startswith("Quote for")
         assert ("does not explain these curves" in describe(document)) is (
             document["gap"] and document["verdict"] != "effect"
         ), name
