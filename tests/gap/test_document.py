@@ -18,7 +18,7 @@ from imr_torch.errors import ConvergenceError
 from imr_torch.float64 import linspace, tensor
 from imr_torch.gap import MediumSensitivity, describe, diagnose, examine, library, to_json
 from imr_torch.gap.document import _fill_template, hidden_row, sections, shown, title
-from imr_torch.gap.figures import gap_figures
+from imr_torch.gap.figures import gap_figures, plot_intervals
 from imr_torch.material import LIBRARY, PARAMETERS
 from imr_torch.observe import SimulatedLaboratory
 from imr_torch.results import document_page, draw_figures, write_page
@@ -335,6 +335,17 @@ def test_that_every_figure_of_a_document_is_drawn_by_plot_too(documents):
                 assert len(figure.alt) > 20
                 plt.close(made)
     assert "shrinkage" in [figure.name for figure in gap_figures(documents["named"])]
+
+
+def test_that_the_log_of_a_density_is_drawn_as_a_factor():
+    own, wide = [-0.02, 0.001, 0.03], [-0.1, 0.0, 0.1]
+    ax = plot_intervals(
+        {"parameters": {"density": own}, "parameters_with_model_error": {"density": wide}}
+    )
+    for bar, ends in zip(ax.containers, (own, wide), strict=True):
+        drawn = bar.lines[2][0].get_segments()[0][:, 0]
+        assert drawn == pytest.approx(np.exp(np.array(ends)[::2] - own[1]))
+    assert "ln" not in ax.get_yticklabels()[0].get_text()
 
 
 class _Reader(HTMLParser):
