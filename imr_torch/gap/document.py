@@ -170,6 +170,7 @@ def _values(report: GapReport, parts: Parts) -> Document:
     return {
         "parameters": {name: quoted[name] for name in base},
         "widened": within is not None,
+        "quoted_noise": str(report.quoted[1].noise),
         "parameters_with_model_error": _read(parts.model_error, attrgetter("intervals")),
         "parameter_bound_sd": _read(parts.model_error, attrgetter("bound")),
         "parameter_shift": shift,

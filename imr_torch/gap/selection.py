@@ -163,7 +163,7 @@ def _select_within_misfit(
         base = fit_null(replace(widened, progress=None), seed=seed, near=near)
         left = widened.test(base, Hypothesis(inquiry.base), seed=seed)
     nearest = " and ".join(map(in_words, held.parts))
-    explained = f"{nearest} explains some of it" if nearest else "none explains any of it"
+    explained = f"some of it goes with {nearest}" if nearest else "none explains any of it"
     return replace(
         finding,
         selected=held,

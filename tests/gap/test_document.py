@@ -99,6 +99,11 @@ ANSWERS = {
 SHARED = {
     "closed": {"share": [0.8, 0.9, 0.95], "later": [0.7, 0.9, 1.0], "word": "closed"},
     "partly": {"share": [0.1, 0.4, 0.6], "later": None, "word": "partly closed"},
+    "by chance": {
+        "share": [0.3, 0.6, 0.8],
+        "later": [-1.5, -0.3, 0.1],
+        "word": "partly closed, not told from chance",
+    },
     "not": {"share": [-1.0, -0.2, 0.3], "later": None, "word": "not closed"},
     "no gap": {
         "share": None,
@@ -142,6 +147,7 @@ def answered(document: dict, answer: str, shared: str, *, helps: bool | None) ->
         "posterior": {"other": 1.0} if verdict == "other" else members,
         "members_held": parts if verdict == "other" else document["held"],
         "selected": parts,
+        "given_up": [*parts, "refraction"],
         "shrinkage": None if parts == ["gel_scatter"] else shrinkage,
         "next_design": ahead,
         "parameter_shift": document["parameter_shift"] if named else None,
@@ -201,6 +207,10 @@ def contradictions(document: dict) -> list[str]:
         "closed by what is not named": "the gap is closed" in text and verdict == "other",
         "a shot that is not designed": ("Shoot We" in document["next_step"])
         != bool(document["next_design"] and document["next_design"]["helps"]),
+        "what was selected is given up": bool(
+            set(re.findall(r"[\w+]+", "".join(re.findall(r"were given up.* of [^:]*:(.*)", text))))
+            & set(document["selected"])
+        ),
         "nothing is said of what to quote": not quote.startswith("Quote ")
         or text.count(quote) != 2,
         "a wrong model is quoted": quote.startswith("Quote for")
@@ -214,6 +224,10 @@ def contradictions(document: dict) -> list[str]:
         and "Use the parameters" in document["next_step"],
     }
     if shrunk is not None:
+        later = shrunk["later"] or [1.0]
+        found["a forecast reaches zero in silence"] = (later[0] < 0.0 < later[-1]) != (
+            "not told from no change" in text
+        )
         closes = [line for line in text.splitlines() if "goes with what was selected" in line]
         found["no gap is left, and some is closed"] = (shrunk["share"] is None) == bool(closes)
         found["shrinkage is another in words"] = any(
@@ -266,8 +280,9 @@ def test_that_a_named_cause_closes_the_gap_and_one_shot_says_why_nothing_is_judg
     assert named["word"] == "closed"
     assert named["share"][0] > named["placebo_95"]
     assert named["selected"] == [["sound_speed"]] * 3
-    assert "goes with what was selected (the speed of sound differs (sound_speed))" in describe(
-        documents["named"]
+    assert (
+        "goes with what was selected from the other curves (the speed of sound differs (sound_speed))"
+        in describe(documents["named"])
     )
     assert documents["one shot"]["shrinkage"] is None
     assert "give two curves or more" in describe(documents["one shot"])
