@@ -213,6 +213,15 @@ def contradictions(document: dict) -> list[str]:
         ),
         "nothing is said of what to quote": not quote.startswith("Quote ")
         or text.count(quote) != 2,
+        "a gap without a cause is said too surely": verdict == "other"
+        and re.search(r" becomes | is \S+ (kPa|Pa s) \(", text) is not None,
+        "a cause is certain": named and "most probable cause" not in head,
+        "an interval outside the other is not explained": ("need not hold the first" in text)
+        != any(
+            low < document["parameters_with_model_error"][name][0]
+            or high > document["parameters_with_model_error"][name][2]
+            for name, (low, _, high) in document["parameters"].items()
+        ),
         "a wrong model is quoted": quote.startswith("Quote for")
         and (
             verdict in ("other", "class") or (verdict == "undecided" and document["test_rejects"])
@@ -239,7 +248,9 @@ def contradictions(document: dict) -> list[str]:
         said = [shown(name, value) for value in values]
         unit = PARAMETERS[name].display_unit or PARAMETERS[name].unit
         found[f"{name} without its unit"] = not all(unit in value for value in said)
-        found[f"{name} is another in words"] = f"{name} is {said[1]}" not in text
+        missed = document["gap"] and verdict != "effect"
+        told = f"{name} {'would be' if missed else 'is'} {said[1]}"
+        found[f"{name} is another in words"] = told not in text
     for row in document["hidden"]:
         parameter = LIBRARY[row["effect"]].names[0]
         unit = PARAMETERS[parameter].display_unit or PARAMETERS[parameter].unit
