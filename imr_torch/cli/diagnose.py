@@ -65,13 +65,10 @@ def run_command(args: Namespace) -> None:
         progress=progress,
     )
     parts = examine(report, simulator, unseen=held_out, seed=args.seed, progress=progress)
-    assumed = (
-        medium_sensitivities(report.null, report.batch, simulator, medium)
-        if report.converged
-        else ()
-    )
+    fit, batch = report.quoted
+    assumed = medium_sensitivities(fit, batch, simulator, medium) if report.converged else ()
     document = to_json(report, parts, simulator=simulator) | {"record": record.to_dict()}
-    document |= medium_document(medium, assumed, report.null.posterior)
+    document |= medium_document(medium, assumed, fit.posterior)
     print(describe(document))
     args.gel_medium = medium
     progress(ProgressLine("figures", stage="figures"))

@@ -76,6 +76,17 @@ class GapReport(Finding):
         return self.within_misfit or self
 
     @property
+    def quoted(self) -> tuple[ModelFit, ExperimentBatch]:
+        """The fit whose parameters stand in the report, with its data: of the named cause, else of
+        the base model, with noise of the size of what it leaves where no model is enough.
+        """
+        if self.verdict in ("effect", "class"):
+            return self.selected_fit, self.selected.seen(self.batch)
+        if within := self.within_misfit:
+            return within.own, within.own_batch
+        return self.null, self.batch
+
+    @property
     def found(self) -> bool:
         """Whether there is a gap: the test at a converged fit rejects, and the evidence of causes
         agrees.

@@ -26,7 +26,7 @@ from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.examine import Parts
 from imr_torch.gap.hypotheses import EXPLAINS, GEL_SCATTER, Hypothesis, gels_of, in_words
 from imr_torch.gap.shrinkage import Shrinkage
-from imr_torch.gap.verdict import MEMBER, NONE, OTHER, SLOW_NOISE
+from imr_torch.gap.verdict import MEMBER, NONE, OTHER, SLOW_NOISE, Choice
 from imr_torch.goodness.phases import PHASES, phase_numbers
 from imr_torch.goodness.score import ADEQUATE
 from imr_torch.html import render
@@ -83,6 +83,7 @@ def to_json(
         "cause": list(report.cause),
         "reason": report.reason,
         "members": _read(report.choice, attrgetter("members")),
+        "members_held": _read(report.choice, partial(_members_held, report)),
         "expected_loss": _read(report.choice, attrgetter("loss")),
         "converged": report.converged,
         "null_usable": report.null.certificate.usable,
@@ -124,6 +125,13 @@ def _read(part: object, read: Callable[[Any], object]) -> object:
     return None if part is None else read(part)
 
 
+def _members_held(report: GapReport, choice: Choice) -> list[str]:
+    """The parts beside which the members of a choice have their probabilities."""
+    stages = (report.attribution, *report.steps)
+    own = choice.members.items()
+    return next(list(step.held.parts) for step in stages if step and own <= step.posterior.items())
+
+
 def _read_unknown(found: Attribution) -> Document:
     """The probability that an unknown effect looks like a known one."""
     like = found.likeness
@@ -136,6 +144,7 @@ def _read_unknown(found: Attribution) -> Document:
 
 
 _CAUSES: Mapping[str, Callable[[Attribution], object]] = {
+    "held": lambda found: list(found.held.parts),
     "leading": attrgetter("winner.name"),
     "posterior": attrgetter("posterior"),
     "explained_nats": attrgetter("explained"),
@@ -152,15 +161,16 @@ def _values(report: GapReport, parts: Parts) -> Document:
     """The parameters of the gel and of the named cause, with 90 % intervals."""
     within = report.within_misfit
     named = report.selected_fit if report.verdict in ("effect", "class") else None
-    nearest = report.selected_fit if within and report.selected.parts else named
     base = intervals((within.own if within else report.null).posterior)
+    quoted = intervals(report.quoted[0].posterior)
     shift = None
-    if nearest is not None:
-        beside = intervals(nearest.posterior)
+    if named or (within and report.selected.parts):
+        beside = intervals(report.selected_fit.posterior)
         shift = {n: {"base": own, "with_cause": beside[n]} for n, own in base.items()}
     return {
-        "parameters": {n: x["with_cause"] for n, x in shift.items()} if named and shift else base,
+        "parameters": {name: quoted[name] for name in base},
         "widened": within is not None,
+        "quoted_noise": str(report.quoted[1].noise),
         "parameters_with_model_error": _read(parts.model_error, attrgetter("intervals")),
         "parameter_bound_sd": _read(parts.model_error, attrgetter("bound")),
         "parameter_shift": shift,

@@ -69,7 +69,8 @@ def gap_figures(document: Document) -> Iterator[NamedFigure]:
             top = max(posterior, key=posterior.__getitem__)
             yield name_figure("diagnose.causes", plot_causes, posterior, top=top)
     if (missing := document.get("missing")) and missing["shots"]:
-        yield name_figure("diagnose.missing", plot_missing_pressure, missing["shots"])
+        count = len(missing["shots"])
+        yield name_figure("diagnose.missing", plot_missing_pressure, missing["shots"], count=count)
         yield name_figure("diagnose.missing_states", plot_missing_states, missing["shots"])
     if document["shrinkage"] and document["shrinkage"]["share"]:
         yield name_figure("diagnose.shrinkage", plot_shrinkage, document["shrinkage"])
@@ -259,18 +260,26 @@ def plot_intervals(document: Document) -> Axes:
     """90 % intervals of the gel's parameters if the model is right, and with what it may lack,
     relative to the median.
     """
-    right = document["parameters"]
+    right, wide = (
+        {
+            n: np.exp(x) if PARAMETERS[n].dimension == "ratio" else np.array(x)
+            for n, x in own.items()
+        }
+        for own in (document["parameters"], document["parameters_with_model_error"])
+    )
     ax = new_axes((5.2, 1.1 + 0.5 * len(right)))
     places = np.arange(len(right) - 1, -1, -1)
     rows = (
         (right, SECOND, 0.12, "if the model is right"),
-        (document["parameters_with_model_error"], MODEL, -0.12, "with what it may lack"),
+        (wide, MODEL, -0.12, "with what it may lack"),
     )
     for values, color, offset, label in rows:
-        scaled = [np.array(values[name]) / right[name][1] for name in right]
+        scaled = [values[name] / right[name][1] for name in right]
         draw_intervals(ax, places + offset, scaled, color=color, capsize=3, label=label)
     ax.axvline(1.0, color=DATA, lw=0.8)
-    ax.set_yticks(places, [PARAMETERS[name].label for name in right], fontsize=8)
+    ax.set_yticks(
+        places, [PARAMETERS[name].label.replace("\\ln\\,", "") for name in right], fontsize=8
+    )
     ax.set(xlabel="over the median of the fit", ylim=(-0.5, len(right) - 0.5))
     add_legend(ax, ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     return ax

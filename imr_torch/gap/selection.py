@@ -58,6 +58,7 @@ class WithinMisfit:
 
     Args:
         own: the base model's fit with noise of the size of what it leaves itself.
+        own_batch: the data with that noise.
         batch: the data with noise of the size of what is left beside the selected parts.
         null: the base model's fit with that noise.
         left: the gap test there.
@@ -67,6 +68,7 @@ class WithinMisfit:
     """
 
     own: ModelFit
+    own_batch: ExperimentBatch
     batch: ExperimentBatch
     null: ModelFit
     left: Adequacy
@@ -152,7 +154,8 @@ def _select_within_misfit(
     """
     held = Hypothesis(inquiry.base)
     fit, widened = fit_with_noise(inquiry, held, null, of_misfit=True, seed=child(seed, "misfit"))
-    first_fit = fit
+    own_fit = fit
+    own_batch = widened.batch
     left = widened.test(fit, held, seed=seed)
     steps: list[Attribution] = []
     while len(held.parts) < inquiry.most and inquiry.longer(held):
@@ -171,18 +174,18 @@ def _select_within_misfit(
         held = step.hypotheses[name]
         fit, widened = fit_with_noise(inquiry, held, step.fits[name], of_misfit=True, seed=own)
         left = widened.test(fit, held, seed=own)
-    base = first_fit
+    base = own_fit
     if held.parts:
         near = steps[0].fits[NONE]
         base = fit_null(replace(widened, progress=None), seed=seed, near=near)
         left = widened.test(base, Hypothesis(inquiry.base), seed=seed)
     nearest = " and ".join(map(in_words, held.parts))
-    explained = f"{nearest} explains some of it" if nearest else "none explains any of it"
+    explained = f"some of it goes with {nearest}" if nearest else "none explains any of it"
     return replace(
         finding,
         selected=held,
         selected_fit=fit,
-        within_misfit=WithinMisfit(first_fit, widened.batch, base, left, tuple(steps)),
+        within_misfit=WithinMisfit(own_fit, own_batch, widened.batch, base, left, tuple(steps)),
         reason="No effect of the library is enough; where all that is left counts as noise, "
         f"{explained}.",
     )

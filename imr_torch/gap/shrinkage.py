@@ -82,7 +82,8 @@ class Shrinkage:
         return round(float(tensor(self.placebo).quantile(0.95)), 6)
 
     def word(self, adequacy: float) -> str:
-        """``"closed"``, ``"partly closed"``, ``"not closed"`` or ``"no gap left"``.
+        """``"closed"``, ``"partly closed"``, that and ``"not told from chance"`` where the interval
+        reaches what random effects close, ``"not closed"`` or ``"no gap left"``.
 
         Closed needs more than half of the gap gone and more than random effects close, each with
         its lower bound, and a fit that leaves only noise on the fitted curves.
@@ -95,7 +96,9 @@ class Shrinkage:
         low, middle, _ = self.share
         if low > max(0.5, self.placebo_high) and adequacy >= ADEQUATE:
             return "closed"
-        return "partly closed" if low > 0.0 and middle > self.placebo_high else "not closed"
+        if min(low, middle - self.placebo_high) <= 0.0:
+            return "not closed"
+        return "partly closed" + ", not told from chance" * (low <= self.placebo_high)
 
 
 def shrinkage(

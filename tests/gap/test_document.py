@@ -16,9 +16,9 @@ from matplotlib.image import imread
 
 from imr_torch.errors import ConvergenceError
 from imr_torch.float64 import linspace, tensor
-from imr_torch.gap import describe, diagnose, examine, library, to_json
+from imr_torch.gap import MediumSensitivity, describe, diagnose, examine, library, to_json
 from imr_torch.gap.document import _fill_template, hidden_row, sections, shown, title
-from imr_torch.gap.figures import gap_figures
+from imr_torch.gap.figures import gap_figures, plot_intervals
 from imr_torch.material import LIBRARY, PARAMETERS
 from imr_torch.observe import SimulatedLaboratory
 from imr_torch.results import document_page, draw_figures, write_page
@@ -99,6 +99,11 @@ ANSWERS = {
 SHARED = {
     "closed": {"share": [0.8, 0.9, 0.95], "later": [0.7, 0.9, 1.0], "word": "closed"},
     "partly": {"share": [0.1, 0.4, 0.6], "later": None, "word": "partly closed"},
+    "by chance": {
+        "share": [0.3, 0.6, 0.8],
+        "later": [-1.5, -0.3, 0.1],
+        "word": "partly closed, not told from chance",
+    },
     "not": {"share": [-1.0, -0.2, 0.3], "later": None, "word": "not closed"},
     "no gap": {
         "share": None,
@@ -138,8 +143,11 @@ def answered(document: dict, answer: str, shared: str, *, helps: bool | None) ->
         "verdict": verdict,
         "cause": cause,
         "members": members,
-        "posterior": members,
+        # another verdict rests on what was asked about beside the parts that were selected
+        "posterior": {"other": 1.0} if verdict == "other" else members,
+        "members_held": parts if verdict == "other" else document["held"],
         "selected": parts,
+        "given_up": [*parts, "refraction"],
         "shrinkage": None if parts == ["gel_scatter"] else shrinkage,
         "next_design": ahead,
         "parameter_shift": document["parameter_shift"] if named else None,
@@ -185,6 +193,9 @@ def contradictions(document: dict) -> list[str]:
         != (
             f"unknown effect that looks like it (probability {members.get('other', 0):.2f})" in head
         ),
+        "a probability behind the headline is not printed": verdict == "other"
+        and any(f"{name} {p:.3f}" not in text for name, p in members.items())
+        and len(members) > 1,
         "a likely effect beside other is not said": verdict == "other"
         and "slow_noise" not in members
         and in_head != likely,
@@ -196,8 +207,21 @@ def contradictions(document: dict) -> list[str]:
         "closed by what is not named": "the gap is closed" in text and verdict == "other",
         "a shot that is not designed": ("Shoot We" in document["next_step"])
         != bool(document["next_design"] and document["next_design"]["helps"]),
+        "what was selected is given up": bool(
+            set(re.findall(r"[\w+]+", "".join(re.findall(r"were given up.* of [^:]*:(.*)", text))))
+            & set(document["selected"])
+        ),
         "nothing is said of what to quote": not quote.startswith("Quote ")
         or text.count(quote) != 2,
+        "a gap without a cause is said too surely": verdict == "other"
+        and re.search(r" becomes | is \S+ (kPa|Pa s) \(", text) is not None,
+        "a cause is certain": named and "most probable cause" not in head,
+        "an interval outside the other is not explained": ("need not hold the first" in text)
+        != any(
+            low < document["parameters_with_model_error"][name][0]
+            or high > document["parameters_with_model_error"][name][2]
+            for name, (low, _, high) in document["parameters"].items()
+        ),
         "a wrong model is quoted": quote.startswith("Quote for")
         and (
             verdict in ("other", "class") or (verdict == "undecided" and document["test_rejects"])
@@ -209,6 +233,10 @@ def contradictions(document: dict) -> list[str]:
         and "Use the parameters" in document["next_step"],
     }
     if shrunk is not None:
+        later = shrunk["later"] or [1.0]
+        found["a forecast reaches zero in silence"] = (later[0] < 0.0 < later[-1]) != (
+            "not told from no change" in text
+        )
         closes = [line for line in text.splitlines() if "goes with what was selected" in line]
         found["no gap is left, and some is closed"] = (shrunk["share"] is None) == bool(closes)
         found["shrinkage is another in words"] = any(
@@ -220,7 +248,9 @@ def contradictions(document: dict) -> list[str]:
         said = [shown(name, value) for value in values]
         unit = PARAMETERS[name].display_unit or PARAMETERS[name].unit
         found[f"{name} without its unit"] = not all(unit in value for value in said)
-        found[f"{name} is another in words"] = f"{name} is {said[1]}" not in text
+        missed = document["gap"] and verdict != "effect"
+        told = f"{name} {'would be' if missed else 'is'} {said[1]}"
+        found[f"{name} is another in words"] = told not in text
     for row in document["hidden"]:
         parameter = LIBRARY[row["effect"]].names[0]
         unit = PARAMETERS[parameter].display_unit or PARAMETERS[parameter].unit
@@ -261,8 +291,9 @@ def test_that_a_named_cause_closes_the_gap_and_one_shot_says_why_nothing_is_judg
     assert named["word"] == "closed"
     assert named["share"][0] > named["placebo_95"]
     assert named["selected"] == [["sound_speed"]] * 3
-    assert "goes with what was selected (the speed of sound differs (sound_speed))" in describe(
-        documents["named"]
+    assert (
+        "goes with what was selected from the other curves (the speed of sound differs (sound_speed))"
+        in describe(documents["named"])
     )
     assert documents["one shot"]["shrinkage"] is None
     assert "give two curves or more" in describe(documents["one shot"])
@@ -286,13 +317,17 @@ def test_that_gels_that_differ_are_listed_shot_by_shot(documents):
 
 
 def test_that_text_and_page_begin_and_end_with_what_to_quote(documents):
+    moves = (("far_field_pressure", "101 kPa", 2.1), ("sound_speed", "1430 m/s", 0.9))
+    found = [MediumSensitivity(n, x, 1.02, {"G": -0.1}, {"G": -sd}).to_dict() for n, x, sd in moves]
+    medium = {"medium_unstated": "Not stated: density.", "medium_sentence": "M."}
     for name, document in documents.items():
-        unstated = document | {"medium_unstated": "Not stated: density.", "medium_sentence": "M."}
+        unstated = document | medium | {"medium_sensitivities": found}
         last = describe(unstated).splitlines()[-1].strip()
         page = document_page(unstated).partition("<section>")[0]
         assert last in page
         assert "Not stated: density." in page
-        assert ("density was not measured" in last) is last.startswith("Quote for")
+        for said in ("density was not", "for the assumed pressure 101 kPa;", "the model may lack)"):
+            assert (said in last) is last.startswith("Quote for")
         assert ("does not explain these curves" in describe(document)) is (
             document["gap"] and document["verdict"] != "effect"
         ), name
@@ -326,6 +361,17 @@ def test_that_every_figure_of_a_document_is_drawn_by_plot_too(documents):
                 assert len(figure.alt) > 20
                 plt.close(made)
     assert "shrinkage" in [figure.name for figure in gap_figures(documents["named"])]
+
+
+def test_that_the_log_of_a_density_is_drawn_as_a_factor():
+    own, wide = [-0.02, 0.001, 0.03], [-0.1, 0.0, 0.1]
+    ax = plot_intervals(
+        {"parameters": {"density": own}, "parameters_with_model_error": {"density": wide}}
+    )
+    for bar, ends in zip(ax.containers, (own, wide), strict=True):
+        drawn = bar.lines[2][0].get_segments()[0][:, 0]
+        assert drawn == pytest.approx(np.exp(np.array(ends)[::2] - own[1]))
+    assert "ln" not in ax.get_yticklabels()[0].get_text()
 
 
 class _Reader(HTMLParser):
