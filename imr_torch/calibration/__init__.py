@@ -1,8 +1,7 @@
-"""Simulation-based calibration: gels drawn from the prior, or from the posterior of measured curves,
-simulated, inferred, and compared with the truth.
+"""Simulation-based calibration: gels drawn from the prior, simulated, inferred, and compared with the
+truth.
 """
 
-from imr_torch.calibration.near_gel import FEWEST_GELS, NearGelCheck, check_near_gel
 from imr_torch.calibration.replicate import Arrangement, Infer, Replicate, calibrate
 from imr_torch.calibration.statistics import (
     Coverage,
@@ -13,15 +12,12 @@ from imr_torch.calibration.statistics import (
 )
 
 __all__ = [
-    "FEWEST_GELS",
     "Arrangement",
     "Coverage",
     "Infer",
-    "NearGelCheck",
     "Replicate",
     "Uniformity",
     "calibrate",
-    "check_near_gel",
     "coverage",
     "envelope",
     "uniformity",

@@ -20,7 +20,6 @@ from imr_torch.assimilate import (
     weigh,
 )
 from imr_torch.assimilate.spikes import frames_left_out
-from imr_torch.calibration import check_near_gel
 from imr_torch.characterization.request import EFFORTS, check_request, medium_of
 from imr_torch.characterization.result import Characterization
 from imr_torch.gap import medium_sensitivities
@@ -66,7 +65,6 @@ def characterize(
     weigh_odd_shots: bool = True,
     population: bool = False,
     over_time: bool = False,
-    simulated_gels: int = 0,
     scatter_scale: float = SCALE,
     seed: int = 0,
     on_prepared: Callable[[Prepared], object] | None = None,
@@ -109,10 +107,6 @@ def characterize(
             how much the gel differs between them is inferred (:mod:`imr_torch.population`).
         over_time: whether the gel of one stretch of the event after another is fitted too
             (:func:`imr_torch.goodness.follow_gel`), under the most probable model.
-        simulated_gels: gels of the posterior, each with simulated curves, on which it is checked
-            whether intervals hold what they state
-            (:func:`imr_torch.calibration.check_near_gel`); each takes about as long as the
-            characterisation by one model.
         scatter_scale: of the half-normal prior of the scatters between curves.
         seed: of everything random.
         on_prepared: called with the curves as they will be fitted, before the first fit.
@@ -153,7 +147,6 @@ def characterize(
         population=population,
         effort=effort,
         scatter_scale=scatter_scale,
-        simulated_gels=simulated_gels,
     )
     simulator = simulator or TransportSimulator(accuracy=ACCURACIES["search"])
     medium = medium_of(traces, medium, simulator.conditions.surroundings, shots)
@@ -218,17 +211,6 @@ def characterize(
     stretches = None
     if over_time and len(traces):
         stretches = follow_gel(*weighted[best].of_curves(weighted.batch), simulator)
-    inference = None
-    if simulated_gels:
-        inference = check_near_gel(
-            weighted,
-            best,
-            simulator,
-            simulated_gels,
-            seed=child(seed, "inference"),
-            options=options,
-            progress=progress,
-        )
     gels = None
     if population:
         own = child(seed, "population")
@@ -265,7 +247,6 @@ def characterize(
         tested,
         parts,
         stretches,
-        inference,
         medium,
         moved,
         frames_left_out(fitted, prepared.experiments),

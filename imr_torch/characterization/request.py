@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from imr_torch.calibration import FEWEST_GELS
 from imr_torch.errors import InputDataError
 from imr_torch.gap import MediumSensitivity
 from imr_torch.material import Belief, ModelBelief
@@ -68,7 +67,6 @@ def check_request(
     population: bool,
     effort: str,
     scatter_scale: float,
-    simulated_gels: int,
 ) -> None:
     """Raise unless each choice is a known one, and there are as many data, and of the kind, that
     what is asked for needs.
@@ -87,16 +85,6 @@ def check_request(
     if not 0.0 < scatter_scale < math.inf:
         raise InputDataError(
             f"scatter_scale is {scatter_scale}; expected a positive number, for example {SCALE:g}."
-        )
-    if simulated_gels and not simulated_gels >= FEWEST_GELS:
-        raise InputDataError(
-            f"simulated_gels is {simulated_gels}; expected {FEWEST_GELS} or more, from which on the "
-            "intervals can be checked, or 0."
-        )
-    if simulated_gels and shots:
-        raise InputDataError(
-            f"simulated_gels is about curves, and {len(shots)} shot(s) of collapse times are given; "
-            "leave one of the two out."
         )
     if effort not in EFFORTS:
         raise InputDataError(f"effort is {effort!r}; expected one of {', '.join(EFFORTS)}.")

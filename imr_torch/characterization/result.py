@@ -12,7 +12,6 @@ from torch import Tensor
 
 from imr_torch.assimilate import Assimilation, ModelFit, Verdict
 from imr_torch.assimilate.dense import dense_curve
-from imr_torch.calibration import NearGelCheck
 from imr_torch.characterization.bands import band_document, find_patterns, predictive_band
 from imr_torch.characterization.request import EFFORTS, medium_document
 from imr_torch.characterization.saved import SavedCharacterization, draws_to_dict
@@ -68,8 +67,6 @@ class Characterization:
         parts: whether the parts of the records agree; None where that was not asked for.
         over_time: the gel of one stretch of the event after another; None where that was not asked
             for.
-        inference: whether intervals hold what they state on simulated gels like this one; None
-            where that was not asked for.
         medium: the liquid side, with what was stated and what was assumed.
         sensitivities: what assumed values of the medium would change in the most probable model.
         spoilt: label of a curve -> numbers of the frames that single errors of the camera have spoilt,
@@ -111,7 +108,6 @@ class Characterization:
     fit_test: FitTest | None
     parts: PartsTest | None
     over_time: list[Document] | None
-    inference: NearGelCheck | None
     medium: GelMedium
     sensitivities: tuple[MediumSensitivity, ...]
     spoilt: Mapping[str, Sequence[int]]
@@ -196,7 +192,6 @@ class Characterization:
             and tested.to_dict() | {"command": command, "sentence": tested.sentence(command)},
             "parts": self.parts and self.parts.to_dict(),
             "over_time": self.over_time,
-            "inference": self.inference and self.inference.to_dict(),
             "population": self.population and self.population.to_dict(),
             "prior": self.assimilation.prior.to_dict(),
             "belief": self.posterior.to_dict(),

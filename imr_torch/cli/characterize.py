@@ -55,8 +55,7 @@ def run_command(args: Namespace) -> None:
 
     rounds = NOISE_ROUNDS if args.noise == "estimated" else 0
     drawn = bool(args.out or args.html)
-    gels = args.simulated_gels or 0
-    stages = characterize_stages(rounds, gels=gels, population=args.population, figures=drawn)
+    stages = characterize_stages(rounds, population=args.population, figures=drawn)
     result = characterize(
         traces,
         prior=prior,
@@ -73,7 +72,6 @@ def run_command(args: Namespace) -> None:
         population=args.population,
         scatter_scale=SCALE if args.scatter_scale is None else args.scatter_scale,
         over_time=args.over_time,
-        simulated_gels=gels,
         seed=args.seed,
         on_prepared=show_prepared,
         progress=args.terminal.plan_stages(stages),
@@ -109,7 +107,7 @@ def _load_data(args: Namespace) -> tuple[TraceSet, tuple[CollapseShot, ...]]:
     shots = load_collapse_times(*tables) if tables else ()
     why = f"is about curves, and {tables[0]} holds collapse times" if shots else ""
     if shots:
-        refuse_options(args, ["population", "simulated_gels"], f"{why}; leave one of them out.")
+        refuse_options(args, ["population"], f"{why}; leave one of them out.")
     if curves:
         traces = load_traces(*curves, layout=args.layout, sort=args.sort)
     else:

@@ -36,10 +36,10 @@ class Stage:
 
 
 def characterize_stages(
-    noise_rounds: int, *, gels: int = 0, population: bool = False, figures: bool = True
+    noise_rounds: int, *, population: bool = False, figures: bool = True
 ) -> tuple[Stage, ...]:
-    """The stages of ``characterize``: one fit per noise law, draws, the fit test, perhaps simulated
-    gels and each shot alone, and figures.
+    """The stages of ``characterize``: one fit per noise law, draws, the fit test, perhaps each shot
+    alone, and figures.
 
     >>> from imr_torch.cli.progress import characterize_stages
     >>> [stage.name for stage in characterize_stages(1, figures=False)]
@@ -52,8 +52,6 @@ def characterize_stages(
         stages.append(Stage(f"fit with the estimated noise{again}", 0.8, "noise"))
     stages.append(Stage("posterior draws", 6.0, "draws"))
     stages.append(Stage("fit test", 0.5, "fit test"))
-    if gels:
-        stages.append(Stage("simulated gels like this one", 2.0 * gels, "simulated gels"))
     if population:
         stages.append(Stage("each shot by itself", 5.0, "shots"))
         stages.append(Stage("the population", 1.0, "population"))

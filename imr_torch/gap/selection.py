@@ -36,20 +36,11 @@ _NO_GAP = 0.5  # probability of the base model alone from which on there is no g
 _UNKNOWN = 0.5
 _AHEAD = 8  # hypotheses whose most probable points beside slow noise are found
 _LARGE_GAP = 1e-6  # p-value below which the verdict was "other" in 13 of 13 measured sets
-# work over that of the first selection: of a later one, and of a first with noise inferred anew
-_LATER = 0.75
-_ANEW = 1.4
+_SELECTIONS = 5  # that such a gap takes: of causes, of what is nearest, of causes with new noise
+_NOISE_ROUNDS = 2  # times that the noise is inferred about a fit, and the fit made with it
 _CAUSE = "cause"
 _NEAREST = "no effect is enough, nearest cause"
 _AGAIN = "with new noise, cause"
-# what a selection is of -> gap -> work expected after a first and a second one (PA1, S2, records of
-# measured and labelled sets)
-_EXPECTED = {
-    _CAUSE: {"noise is known": (0.1, 0.0), "small gap": (0.4, 0.4), "large gap": (3.5, 3.0)},
-    _NEAREST: {"small gap": (0.3, 0.5), "large gap": (2.6, 2.0)},
-    _AGAIN: {"small gap": (0.4, 0.0), "large gap": (0.5, 0.0)},
-}
-_NOISE_ROUNDS = 2  # times that the noise is inferred about a fit, and the fit made with it
 
 
 @dataclass(frozen=True)
@@ -329,21 +320,15 @@ def _count_selection(
     Args:
         inquiry: base model, effects and data.
         held: what was selected.
-        what: a key of the table of what is expected.
+        what: a selection is of.
         number: of selections before.
         left: the gap test at the base model's fit.
     """
     laws = inquiry.batch.noise_laws
-    gap = "noise is known"
-    if laws is not None and laws.of_residuals:
-        gap = "large gap" if left.test.p_value < _LARGE_GAP else "small gap"
-    own = _LATER if number else 1.0
-    if what == _AGAIN and not held.parts:
-        own = _ANEW
-    done = 1.0 + _LATER * (number - 1) if number else 0.0
-    expected = done + own + _EXPECTED[what].get(gap, (0.0, 0.0))[len(held.parts) > 0]
+    large = laws is not None and laws.of_residuals and left.test.p_value < _LARGE_GAP
+    expected = max(number + 1, _SELECTIONS if large else 1)
     name = f"{what} {len(held.parts) + 1} of at most {inquiry.most}"
-    parts = (done / expected, (done + own) / expected)
+    parts = (number / expected, (number + 1) / expected)
     report = within(inquiry.progress, *parts, name=name, size=expected)
     return replace(inquiry, progress=report)
 
