@@ -233,7 +233,7 @@ def test_that_a_model_that_is_improbable_by_its_evidence_alone_gets_one_round():
         assert (weighted["gen_qkv"].sample.rounds > 1) == again
         assert weighted["nhkv"].sample.rounds > 1
         assert len(said) == sum(fit.sample.rounds for fit in weighted.fits)
-        assert said[0].step == "nhkv, round 1 of at most 4"
+        assert said[0].step == "NHKV, round 1 of at most 4"
 
 
 def test_that_no_round_follows_draws_of_which_too_few_are_effective(simple):

@@ -268,7 +268,7 @@ def test_that_bad_input_is_named(parameters, designs, times, error, message):
             r"PolytropicGas.exponent is 0.9; expected 1 \(isothermal\) to 5/3",
         ),
         (lambda: Stepping(0.0), r"Stepping.step is 0.0; expected above 0 and at most 0.5"),
-        (lambda: Stepping(max_steps=0), r"max_steps >= 1"),
+        (lambda: Stepping(max_steps=0), r"max_steps is 0; expected at least 1"),
     ],
 )
 def test_that_bad_options_are_named(call, message):
