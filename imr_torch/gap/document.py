@@ -107,6 +107,7 @@ def to_json(
         "examined": parts.onset is not None,
         "phase_residual": {"phases": PHASES, "rows": _phase_residual(report.null, report.batch)},
         "curves": _curves(report, simulator),
+        "time_scale_s": _read(simulator, partial(_time_scale, report.batch)),
         **_noise(report),
         "certificates": {
             name: vars(fit.certificate) | {"text": str(fit.certificate)}
@@ -279,6 +280,14 @@ def _curves(report: GapReport, simulator: Simulator | None) -> list[Document]:
     return rows
 
 
+def _time_scale(batch: ExperimentBatch, simulator: Simulator) -> float:
+    """Rmax/U_c, s, in the median over experiments."""
+    medium = simulator.conditions.surroundings
+    return float(
+        median(medium.time_scale(medium.max_radius(e.design[0])) for e in batch.experiments)
+    )
+
+
 def _noise(report: GapReport) -> Document:
     """The noise law, what is known of it, and what was left out."""
     batch = report.batch
@@ -368,7 +377,7 @@ def list_names() -> Document:
         "titles": lambda names: list(map(title, names)),
         "shown": shown,
         "in_words": in_words,
-        "hidden_row": hidden_row,
+        "effects": LIBRARY,
         "sections": sections,
         "p_value": p_value,
         "spoilt_sentence": spoilt_sentence,
@@ -404,10 +413,12 @@ def describe(document: Document) -> str:
 
 def sections(document: Document) -> list[Section]:
     """The diagnosis as sections, in the order of the questions."""
+    said = describe(document)
     folded = {
         "The record before any gel": True,
         "Where does it lie?": not document["examined"],
         "Which effect causes it?": document["posterior"] is None,
+        "What would these data not show?": "Not said" in said,
         "What is missing?": document.get("missing") is None,
         "How far does it shrink on unseen curves?": document["shrinkage"] is None,
         "What does it do to the parameters?": not (document["parameter_shift"] or document["gels"]),
@@ -415,26 +426,8 @@ def sections(document: Document) -> list[Section]:
         "Have the fits converged?": document["converged"],
         "The medium": True,
     }
-    blocks = map(str.splitlines, describe(document).split("\n\n")[:-1])
+    blocks = map(str.splitlines, said.split("\n\n")[:-1])
     return [
         Section(heading, tuple(map(str.strip, lines)), folded.get(heading, False))
         for heading, *lines in blocks
     ]
-
-
-def hidden_row(row: Document) -> tuple[str, str, str]:
-    """Title of an effect, the size that would have been found with 90 %, and what that size (where
-    there is none, its usual size), unseen, would move each parameter by.
-
-    Args:
-        row: an entry of ``hidden``.
-
-    >>> from imr_torch.gap.document import hidden_row
-    >>> hidden_row({"effect": "permanent_set", "size": None, "shift": {"G": -0.061}})[1:]
-    ('none of a usual size', 'G by up to 6.1 %')
-    """
-    name = row["effect"]
-    size = row["size"]
-    moves = ", ".join(f"{p} by up to {100 * abs(x):.2g} %" for p, x in row["shift"].items())
-    found = "none of a usual size" if size is None else shown(LIBRARY[name].names[0], size)
-    return title(name), found, moves or "nothing"

@@ -17,7 +17,7 @@ from matplotlib.image import imread
 from imr_torch.errors import ConvergenceError
 from imr_torch.float64 import linspace, tensor
 from imr_torch.gap import MediumSensitivity, describe, diagnose, examine, library, to_json
-from imr_torch.gap.document import _fill_template, hidden_row, sections, shown, title
+from imr_torch.gap.document import _fill_template, sections, shown, title
 from imr_torch.gap.figures import gap_figures, plot_intervals
 from imr_torch.material import LIBRARY, PARAMETERS
 from imr_torch.observe import SimulatedLaboratory
@@ -252,11 +252,12 @@ def contradictions(document: dict) -> list[str]:
         told = f"{name} {'would be' if missed else 'is'} {said[1]}"
         found[f"{name} is another in words"] = told not in text
     for row in document["hidden"]:
-        parameter = LIBRARY[row["effect"]].names[0]
-        unit = PARAMETERS[parameter].display_unit or PARAMETERS[parameter].unit
-        found[f"{parameter} hides without its unit"] = (
-            row["size"] is not None and unit != "1" and unit not in hidden_row(row)[1]
-        )
+        effect = row["effect"]
+        entry = PARAMETERS[LIBRARY[effect].names[0]]
+        lines = re.findall(rf"\({effect}\): (.*) would be found", text)
+        size = rf"none of a usual size|[\d.e-]+ ?{re.escape(entry.shown_unit)}( .*)? \(.+\)"
+        found[f"{effect} hides without its unit"] = any(not re.fullmatch(size, x) for x in lines)
+        found[f"{effect} hides beside a gap without a cause"] = bool(lines) and verdict == "other"
     return [what for what, holds in found.items() if holds]
 
 
@@ -302,10 +303,23 @@ def test_that_a_named_cause_closes_the_gap_and_one_shot_says_why_nothing_is_judg
 
 def test_that_what_these_data_would_not_show_stands_beside_every_verdict(documents):
     for document in documents.values():
-        rows = list(map(hidden_row, document["hidden"]))
-        assert len(rows) >= 1
-        assert all(len(row) == 3 and row[0].endswith(")") for row in rows)
+        lines = describe(document).count(" would be found; ")
+        assert lines == (0 if document["verdict"] == "other" else len(document["hidden"]))
     assert {row["effect"] for row in documents["none"]["hidden"]} == set(OFFERED)
+
+
+def test_that_values_are_in_units_of_a_laboratory(documents):
+    field = {"sound_frequency": [1.5, 1.57, 1.6], "sound_phase": [0.0, 0.2, 0.4]}
+    moved = {"density": {"base": [-0.1, 0.0, 0.1], "with_cause": [-0.1, 0.01, 0.1]}}
+    text = describe(
+        documents["named"]
+        | {"cause_values": {"sound_field": field}, "parameter_shift": moved, "time_scale_s": 2e-5}
+        | {"medium": {"density": {"value": 1060.0, "unit": "kg/m^3"}}}
+    )
+    assert f"frequency is {math.exp(1.57) / (2 * math.pi * 2e-5) / 1e3:.4g} kHz in the" in text
+    assert "its phase is 0.2 rad (90 %: 0 to 0.4)" in text
+    assert "density: 1060 kg/m^3 becomes 1071 kg/m^3 (90 %: 959.1 to 1171)" in text
+    assert 1e-5 < documents["named"]["time_scale_s"] < 1e-4
 
 
 def test_that_gels_that_differ_are_listed_shot_by_shot(documents):
