@@ -52,7 +52,7 @@ LEAST_LEFT = 1e-4
 EVERYTHING = "everything (chi-square)"
 """Name of the test of all residuals together, which only noise that is known allows."""
 STATE_LAW = "generic stress law"
-PULSES = "pulses common to all experiments"
+PULSES = "pressure pulses"
 SHAPE = "shape of the output"
 """Names of generic blocks: of the generic closure, of pressure pulses, of the output's shape."""
 
@@ -219,7 +219,7 @@ def generic_rows(
         one = eye(experiments)
         masks = line.pad_rows(one.repeat_interleave(times.shape[1], 1))
         found["parameters between designs"] = (masks[:, None] * gel).flatten(0, 1)
-        found["pulses in single experiments"] = (masks[:, None] * pulses).flatten(0, 1)
+        found["pressure pulses in single experiments"] = (masks[:, None] * pulses).flatten(0, 1)
     return found
 
 

@@ -107,7 +107,7 @@ def test_that_matched_data_give_silence_in_words_json_and_html(matched, tmp_path
     options = [
         *FAST,
         "--heldout",
-        "design 1",
+        "design 2",
         "--json",
         str(paths["json"]),
         "--html",
@@ -129,8 +129,8 @@ def test_that_matched_data_give_silence_in_words_json_and_html(matched, tmp_path
     assert len(names) == 3  # and the curve
     page = paths["html"].read_text()
     assert "No gap was found" in page
-    assert "radius over time of design 0" in page
-    assert "radius over time of design 1" not in page  # the one that is held out is not looked at
+    assert "radius over time of design 1" in page
+    assert "radius over time of design 2" not in page  # the one that is held out is not looked at
 
 
 @pytest.mark.parametrize(("options", "words"), [((), False), (("--noise", "estimated"), True)])
@@ -154,10 +154,10 @@ def test_that_a_set_has_the_published_noise_however_few_its_repeats(
         ),
         (
             ["{good}", "--heldout", "design 7"],
-            "--heldout: no experiment 'design 7' among the 2 loaded: design 0, design 1",
+            "--heldout: no experiment 'design 7' among the 2 loaded: design 1, design 2",
         ),
         (
-            ["{good}", "--heldout", "design 0,design 1"],
+            ["{good}", "--heldout", "design 1,design 2"],
             "--heldout leaves none of the 2 experiments to fit",
         ),
     ],

@@ -297,6 +297,7 @@ def test_that_a_named_cause_closes_the_gap_and_one_shot_says_why_nothing_is_judg
         in describe(documents["named"])
     )
     assert documents["one shot"]["shrinkage"] is None
+    assert not any("all experiments" in test["name"] for test in documents["one shot"]["tests"])
     assert "give two curves or more" in describe(documents["one shot"])
     assert "no effect was selected" in describe(documents["differ"])
 
