@@ -49,6 +49,9 @@ _ENTRIES = {
     "camera": "an error of the camera, of radius or time",
 }
 
+_NOTHING = ("Not ", "No cause is added", "At worst")
+"""Begin sections that hold nothing, or a bound alone."""
+
 
 def to_json(
     report: GapReport, parts: Parts | None = None, *, simulator: Simulator | None = None
@@ -126,11 +129,11 @@ def _read(part: object, read: Callable[[Any], object]) -> object:
     return None if part is None else read(part)
 
 
-def _members_held(report: GapReport, choice: Choice) -> list[str]:
+def _members_held(report: GapReport, choice: Choice) -> tuple[str, ...]:
     """The parts beside which the members of a choice have their probabilities."""
     stages = (report.attribution, *report.steps)
     own = choice.members.items()
-    return next(list(step.held.parts) for step in stages if step and own <= step.posterior.items())
+    return next(step.held.parts for step in stages if step and own <= step.posterior.items())
 
 
 def _read_unknown(found: Attribution) -> Document:
@@ -145,12 +148,12 @@ def _read_unknown(found: Attribution) -> Document:
 
 
 _CAUSES: Mapping[str, Callable[[Attribution], object]] = {
-    "held": lambda found: list(found.held.parts),
+    "held": attrgetter("held.parts"),
     "leading": attrgetter("winner.name"),
     "posterior": attrgetter("posterior"),
     "explained_nats": attrgetter("explained"),
-    "unconverged": lambda found: list(found.unconverged),
-    "given_up": lambda found: list(found.given_up),
+    "unconverged": attrgetter("unconverged"),
+    "given_up": attrgetter("given_up"),
     "unknown": _read_unknown,
     "evidence_checks": lambda found: {name: vars(own) for name, own in found.checked.items()},
     "credible_set": lambda found: list(found.credible_set()),
@@ -359,23 +362,12 @@ def title(name: str) -> str:
     return " and ".join(said)
 
 
-def shown(parameter: str, value: float) -> str:
-    """A value in display units.
-
-    >>> from imr_torch.gap.document import shown
-    >>> shown("G", 8310.0)
-    '8.31 kPa'
-    """
-    return PARAMETERS[parameter].interval(value, value, value).split(" (")[0]
-
-
 def list_names() -> Document:
     """What templates of a diagnosis may use beside the document: words for its numbers."""
     return {
         "parameters": PARAMETERS,
         "entries": _ENTRIES,
         "titles": lambda names: list(map(title, names)),
-        "shown": shown,
         "in_words": in_words,
         "effects": LIBRARY,
         "sections": sections,
@@ -413,21 +405,11 @@ def describe(document: Document) -> str:
 
 def sections(document: Document) -> list[Section]:
     """The diagnosis as sections, in the order of the questions."""
-    said = describe(document)
-    folded = {
-        "The record before any gel": True,
-        "Where does it lie?": not document["examined"],
-        "Which effect causes it?": document["posterior"] is None,
-        "What would these data not show?": "Not said" in said,
-        "What is missing?": document.get("missing") is None,
-        "How far does it shrink on unseen curves?": document["shrinkage"] is None,
-        "What does it do to the parameters?": not (document["parameter_shift"] or document["gels"]),
-        "What to measure next?": document["next_design"] is None,
-        "Have the fits converged?": document["converged"],
-        "The medium": True,
-    }
-    blocks = map(str.splitlines, said.split("\n\n")[:-1])
-    return [
-        Section(heading, tuple(map(str.strip, lines)), folded.get(heading, False))
-        for heading, *lines in blocks
-    ]
+    folded = ["The record before any gel", "The medium"]
+    folded += ["Have the fits converged?"] * document["converged"]
+    found = []
+    for block in describe(document).split("\n\n")[:-1]:
+        heading, *sentences = map(str.strip, block.splitlines())
+        nothing = sentences[0].startswith(_NOTHING)
+        found.append(Section(heading, tuple(sentences), nothing or heading in folded))
+    return found

@@ -17,7 +17,7 @@ from matplotlib.image import imread
 from imr_torch.errors import ConvergenceError
 from imr_torch.float64 import linspace, tensor
 from imr_torch.gap import MediumSensitivity, describe, diagnose, examine, library, to_json
-from imr_torch.gap.document import _fill_template, sections, shown, title
+from imr_torch.gap.document import _fill_template, sections, title
 from imr_torch.gap.figures import gap_figures, plot_intervals
 from imr_torch.material import LIBRARY, PARAMETERS
 from imr_torch.observe import SimulatedLaboratory
@@ -245,11 +245,11 @@ def contradictions(document: dict) -> list[str]:
             for line in closes
         )
     for name, values in document["parameters"].items():
-        said = [shown(name, value) for value in values]
+        said = PARAMETERS[name].interval(*values)
         unit = PARAMETERS[name].display_unit or PARAMETERS[name].unit
-        found[f"{name} without its unit"] = not all(unit in value for value in said)
+        found[f"{name} without its unit"] = f"{unit} (" not in said
         missed = document["gap"] and verdict != "effect"
-        told = f"{name} {'would be' if missed else 'is'} {said[1]}"
+        told = f"{name} {'would be' if missed else 'is'} {said}"
         found[f"{name} is another in words"] = told not in text
     for row in document["hidden"]:
         effect = row["effect"]
