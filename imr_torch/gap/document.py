@@ -110,7 +110,6 @@ def to_json(
         "examined": parts.onset is not None,
         "phase_residual": {"phases": PHASES, "rows": _phase_residual(report.null, report.batch)},
         "curves": _curves(report, simulator),
-        "time_scale_s": _read(simulator, partial(_time_scale, report.batch)),
         **_noise(report),
         "certificates": {
             name: vars(fit.certificate) | {"text": str(fit.certificate)}
@@ -131,9 +130,11 @@ def _read(part: object, read: Callable[[Any], object]) -> object:
 
 def _members_held(report: GapReport, choice: Choice) -> tuple[str, ...]:
     """The parts beside which the members of a choice have their probabilities."""
-    stages = (report.attribution, *report.steps)
-    own = choice.members.items()
-    return next(step.held.parts for step in stages if step and own <= step.posterior.items())
+    return next(
+        step.held.parts
+        for step in (report.attribution, *report.steps)
+        if step and choice.members.items() <= step.posterior.items()
+    )
 
 
 def _read_unknown(found: Attribution) -> Document:
@@ -165,8 +166,9 @@ def _values(report: GapReport, parts: Parts) -> Document:
     """The parameters of the gel and of the named cause, with 90 % intervals."""
     within = report.within_misfit
     named = report.selected_fit if report.verdict in ("effect", "class") else None
-    base = intervals((within.own if within else report.null).posterior)
-    quoted = intervals(report.quoted[0].posterior)
+    fit, batch = report.quoted
+    base = intervals((within.own[0] if within else report.null).posterior)
+    quoted = intervals(fit.posterior)
     shift = None
     if named or (within and report.selected.parts):
         beside = intervals(report.selected_fit.posterior)
@@ -174,7 +176,7 @@ def _values(report: GapReport, parts: Parts) -> Document:
     return {
         "parameters": {name: quoted[name] for name in base},
         "widened": within is not None,
-        "quoted_noise": str(report.quoted[1].noise),
+        "quoted_noise": str(batch.noise),
         "parameters_with_model_error": _read(parts.model_error, attrgetter("intervals")),
         "parameter_bound_sd": _read(parts.model_error, attrgetter("bound")),
         "parameter_shift": shift,
@@ -260,6 +262,7 @@ def _curves(report: GapReport, simulator: Simulator | None) -> list[Document]:
         for name, (hypothesis, fit) in fits.items()
         if simulator is not None
     }
+    outer = simulator.conditions.surroundings if simulator else None
     noise = batch.of_frames.sd(report.null.prediction) / batch.counts.sqrt()
     rows = []
     for e, experiment in enumerate(batch.experiments):
@@ -269,6 +272,7 @@ def _curves(report: GapReport, simulator: Simulator | None) -> list[Document]:
                 "id": experiment.label,
                 "We": experiment.design[0],
                 "R_inf*": experiment.design[1],
+                "time_scale_s": outer and outer.time_scale(outer.max_radius(experiment.design[0])),
                 "t_star": batch.times[e][seen].tolist(),
                 "R_star": batch.mean[e][seen].tolist(),
                 "sd": noise[e][seen].tolist(),
@@ -281,14 +285,6 @@ def _curves(report: GapReport, simulator: Simulator | None) -> list[Document]:
             }
         )
     return rows
-
-
-def _time_scale(batch: ExperimentBatch, simulator: Simulator) -> float:
-    """Rmax/U_c, s, in the median over experiments."""
-    medium = simulator.conditions.surroundings
-    return float(
-        median(medium.time_scale(medium.max_radius(e.design[0])) for e in batch.experiments)
-    )
 
 
 def _noise(report: GapReport) -> Document:
@@ -355,11 +351,10 @@ def title(name: str) -> str:
     >>> title("clock"), title("other")
     ('frame rate or pixel size is off (clock)', 'an effect that the library does not hold')
     """
-    said = [
+    return " and ".join(
         f"{LIBRARY[part].meaning} ({part})" if part in LIBRARY else _ENTRIES.get(part, part)
         for part in name.split("+")
-    ]
-    return " and ".join(said)
+    )
 
 
 def list_names() -> Document:
@@ -411,5 +406,5 @@ def sections(document: Document) -> list[Section]:
     for block in describe(document).split("\n\n")[:-1]:
         heading, *sentences = map(str.strip, block.splitlines())
         nothing = sentences[0].startswith(_NOTHING)
-        found.append(Section(heading, tuple(sentences), nothing or heading in folded))
+        found += [Section(heading, tuple(sentences), nothing or heading in folded)]
     return found

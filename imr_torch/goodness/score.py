@@ -27,7 +27,7 @@ from imr_torch.material import Effect
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import generator
 from imr_torch.simulate import Simulator
-from imr_torch.types import Directions, Values
+from imr_torch.types import Directions, ExperimentFrames, Values
 
 LEVEL = 0.04
 """Chance of a gap being found where there is none."""
@@ -237,13 +237,14 @@ def shape_rows(line: Linearisation) -> Float[Tensor, "3 rows"]:
     ``3 x N``.
     """
     times = line.batch.times
-    slope = torch.stack(
-        [torch.gradient(r, spacing=(t,))[0] for r, t in zip(line.prediction, times, strict=True)]
-    )
-    bend = torch.stack(
-        [torch.gradient(r, spacing=(t,))[0] for r, t in zip(slope, times, strict=True)]
-    )
-    return line.whiten(torch.stack((slope, times * slope, bend)))
+    slope = differentiate(line.prediction, times)
+    return line.whiten(torch.stack((slope, times * slope, differentiate(slope, times))))
+
+
+def differentiate(curves: ExperimentFrames, times: ExperimentFrames) -> ExperimentFrames:
+    """Derivatives ``E x T`` of curves by time, by differences between frames."""
+    slopes = [torch.gradient(r, spacing=(t,))[0] for r, t in zip(curves, times, strict=True)]
+    return torch.stack(slopes)
 
 
 def gap_test(blocks: Sequence[Block], line: Linearisation, *, seed: int) -> GapTest:
