@@ -104,16 +104,8 @@ def test_that_noise_may_make_a_collapsed_radius_negative(matched, tmp_path):
 
 def test_that_matched_data_give_silence_in_words_json_and_html(matched, tmp_path, capsys):
     paths = {"json": tmp_path / "result.json", "html": tmp_path / "page.html"}
-    options = [
-        *FAST,
-        "--heldout",
-        "design 2",
-        "--json",
-        str(paths["json"]),
-        "--html",
-        str(paths["html"]),
-    ]
-    assert main(["diagnose", str(matched), *options]) == 0
+    said = "--json {json} --html {html} --heldout".format(**paths)
+    assert main(["diagnose", str(matched), *FAST, *said.split(), "design 2"]) == 0
     captured = capsys.readouterr()
     assert captured.err == ""
     assert "No gap was found" in captured.out
