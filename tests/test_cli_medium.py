@@ -178,25 +178,16 @@ def test_that_a_batch_takes_the_medium_of_each_file_or_that_of_all(tmp_path):
     ("arguments", "message"),
     [
         (
-            ["simulate", "--set", "G=1,mu=1", "--medium", "density=1060:10"],
+            "simulate --set G=1,mu=1 --medium density=1060:10",
             "gives density a standard deviation, and simulate",
         ),
-        (["characterize", "{path}", "--medium", "beer"], "--medium: Unknown medium 'beer'"),
+        ("characterize {path} --medium beer", "--medium: Unknown medium 'beer'"),
         (
-            [
-                "diagnose",
-                "{path}",
-                "--medium",
-                "density=1060:9",
-                "--effects",
-                "density",
-                "--rest-radius",
-                "0.2:0.1",
-            ],
+            "diagnose {path} --medium density=1060:9 --effects density --rest-radius 0.2:0.1",
             "is inferred",
         ),
         (
-            ["campaign", "--case", "soft-pa", "--out", "{path}.d", "--medium", "gelatin_10"],
+            "campaign --case soft-pa --out {path}.d --medium gelatin_10",
             "state values alone",
         ),
     ],
@@ -205,7 +196,7 @@ def test_that_a_medium_that_cannot_be_is_refused_before_any_work(
     arguments, message, tmp_path, capsys
 ):
     path = shot(tmp_path)
-    assert main([a.format(path=path) for a in arguments] + ["--quiet"]) == 2
+    assert main([*arguments.format(path=path).split(), "--quiet"]) == 2
     said = capsys.readouterr().err
     assert re.search(message, said), said
     assert said.count("\n") == 1

@@ -26,6 +26,8 @@ from imr_torch.progress import ProgressLine
 from imr_torch.record import ALL_ALIKE, RecordOptions, describe_record
 from imr_torch.simulate import Simulator
 
+_SET = ".npz"
+
 
 def run_command(args: Namespace) -> None:
     """Check everything that was asked for, diagnose, report."""
@@ -51,7 +53,7 @@ def run_command(args: Namespace) -> None:
         raise InputDataError(
             f"--heldout leaves none of the {len(experiments)} experiments to fit; hold out fewer."
         )
-    known_noise = "published" if _is_set(args.files[0]) else "estimated"
+    known_noise = "published" if args.files[0].lower().endswith(_SET) else "estimated"
     estimate_noise = (args.noise or known_noise) == "estimated"
     progress = args.terminal.plan_stages(diagnose_stages(estimate_noise=estimate_noise))
     report = diagnose(
@@ -121,7 +123,7 @@ def _load_experiments(
     left out is printed.
     """
     assumed = simulator.conditions.surroundings
-    sets = [name for name in args.files if _is_set(name)]
+    sets = [name for name in args.files if name.lower().endswith(_SET)]
     if not sets:
         traces = load_traces(*args.files, layout=args.layout, sort=args.sort)
         print(traces.report() + "\n")
@@ -135,8 +137,11 @@ def _load_experiments(
         raise InputDataError(
             "Sets (.npz) and files of curves cannot be mixed: their noise is known differently."
         )
-    why = "is about files of curves, and has no effect on sets; leave it out."
-    refuse_options(args, ("layout", "rest_radius", "collapses"), why)
+    refuse_options(
+        args,
+        ("layout", "rest_radius", "collapses"),
+        "is about files of curves, and has no effect on sets; leave it out.",
+    )
     medium = medium_of(TraceSet(()), args.medium, assumed)
     loaded = {name: load_set(name, surroundings=medium.surroundings) for name in sets}
     named = [
@@ -145,10 +150,6 @@ def _load_experiments(
         for e in experiments
     ]
     return named, medium, TraceSet(())
-
-
-def _is_set(name: str) -> bool:
-    return name.lower().endswith(".npz")
 
 
 def _select_named(

@@ -82,9 +82,7 @@ class GapReport(Finding):
         """
         if self.verdict in ("effect", "class"):
             return self.selected_fit, self.selected.seen(self.batch)
-        if within := self.within_misfit:
-            return within.own, within.own_batch
-        return self.null, self.batch
+        return self.within_misfit.own if self.within_misfit else (self.null, self.batch)
 
     @property
     def found(self) -> bool:
@@ -96,10 +94,8 @@ class GapReport(Finding):
     @property
     def converged(self) -> bool:
         """Whether the fits that the verdict is based on have converged."""
-        based_on = [self.null]
-        if self.attribution is not None:
-            based_on.append(self.attribution.winner_fit)
-        return all(fit.certificate.usable for fit in based_on)
+        winner = self.attribution and self.attribution.winner_fit
+        return all(fit.certificate.usable for fit in (self.null, winner) if fit)
 
 
 @one_torch_thread()
@@ -170,8 +166,7 @@ def diagnose(
         text = f"gap test: {p_value(gap.p_value)}, leading block {gap.blocks[0].name}"
         progress(ProgressLine(text, stage="effects" if gap.found else "figures"))
 
-    reason = "No block of the gap test rejects the base model."
-    found = Finding("none", (), reason, nothing, null)
+    found = Finding("none", (), "No block of the gap test rejects the base model.", nothing, null)
     if not null.certificate.usable:
         reason = f"The base model's fit did not converge: {null.certificate}."
         found = replace(found, verdict="undecided", reason=reason)

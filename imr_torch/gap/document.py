@@ -49,6 +49,9 @@ _ENTRIES = {
     "camera": "an error of the camera, of radius or time",
 }
 
+_NOTHING = ("Not ", "No cause is added", "At worst")
+"""Begin sections that hold nothing, or a bound alone."""
+
 
 def to_json(
     report: GapReport, parts: Parts | None = None, *, simulator: Simulator | None = None
@@ -125,11 +128,13 @@ def _read(part: object, read: Callable[[Any], object]) -> object:
     return None if part is None else read(part)
 
 
-def _members_held(report: GapReport, choice: Choice) -> list[str]:
+def _members_held(report: GapReport, choice: Choice) -> tuple[str, ...]:
     """The parts beside which the members of a choice have their probabilities."""
-    stages = (report.attribution, *report.steps)
-    own = choice.members.items()
-    return next(list(step.held.parts) for step in stages if step and own <= step.posterior.items())
+    return next(
+        step.held.parts
+        for step in (report.attribution, *report.steps)
+        if step and choice.members.items() <= step.posterior.items()
+    )
 
 
 def _read_unknown(found: Attribution) -> Document:
@@ -144,12 +149,12 @@ def _read_unknown(found: Attribution) -> Document:
 
 
 _CAUSES: Mapping[str, Callable[[Attribution], object]] = {
-    "held": lambda found: list(found.held.parts),
+    "held": attrgetter("held.parts"),
     "leading": attrgetter("winner.name"),
     "posterior": attrgetter("posterior"),
     "explained_nats": attrgetter("explained"),
-    "unconverged": lambda found: list(found.unconverged),
-    "given_up": lambda found: list(found.given_up),
+    "unconverged": attrgetter("unconverged"),
+    "given_up": attrgetter("given_up"),
     "unknown": _read_unknown,
     "evidence_checks": lambda found: {name: vars(own) for name, own in found.checked.items()},
     "credible_set": lambda found: list(found.credible_set()),
@@ -161,8 +166,9 @@ def _values(report: GapReport, parts: Parts) -> Document:
     """The parameters of the gel and of the named cause, with 90 % intervals."""
     within = report.within_misfit
     named = report.selected_fit if report.verdict in ("effect", "class") else None
-    base = intervals((within.own if within else report.null).posterior)
-    quoted = intervals(report.quoted[0].posterior)
+    fit, batch = report.quoted
+    base = intervals((within.own[0] if within else report.null).posterior)
+    quoted = intervals(fit.posterior)
     shift = None
     if named or (within and report.selected.parts):
         beside = intervals(report.selected_fit.posterior)
@@ -170,7 +176,7 @@ def _values(report: GapReport, parts: Parts) -> Document:
     return {
         "parameters": {name: quoted[name] for name in base},
         "widened": within is not None,
-        "quoted_noise": str(report.quoted[1].noise),
+        "quoted_noise": str(batch.noise),
         "parameters_with_model_error": _read(parts.model_error, attrgetter("intervals")),
         "parameter_bound_sd": _read(parts.model_error, attrgetter("bound")),
         "parameter_shift": shift,
@@ -256,6 +262,7 @@ def _curves(report: GapReport, simulator: Simulator | None) -> list[Document]:
         for name, (hypothesis, fit) in fits.items()
         if simulator is not None
     }
+    outer = simulator.conditions.surroundings if simulator else None
     noise = batch.of_frames.sd(report.null.prediction) / batch.counts.sqrt()
     rows = []
     for e, experiment in enumerate(batch.experiments):
@@ -265,6 +272,7 @@ def _curves(report: GapReport, simulator: Simulator | None) -> list[Document]:
                 "id": experiment.label,
                 "We": experiment.design[0],
                 "R_inf*": experiment.design[1],
+                "time_scale_s": outer and outer.time_scale(outer.max_radius(experiment.design[0])),
                 "t_star": batch.times[e][seen].tolist(),
                 "R_star": batch.mean[e][seen].tolist(),
                 "sd": noise[e][seen].tolist(),
@@ -343,21 +351,10 @@ def title(name: str) -> str:
     >>> title("clock"), title("other")
     ('frame rate or pixel size is off (clock)', 'an effect that the library does not hold')
     """
-    said = [
+    return " and ".join(
         f"{LIBRARY[part].meaning} ({part})" if part in LIBRARY else _ENTRIES.get(part, part)
         for part in name.split("+")
-    ]
-    return " and ".join(said)
-
-
-def shown(parameter: str, value: float) -> str:
-    """A value in display units.
-
-    >>> from imr_torch.gap.document import shown
-    >>> shown("G", 8310.0)
-    '8.31 kPa'
-    """
-    return PARAMETERS[parameter].interval(value, value, value).split(" (")[0]
+    )
 
 
 def list_names() -> Document:
@@ -366,9 +363,8 @@ def list_names() -> Document:
         "parameters": PARAMETERS,
         "entries": _ENTRIES,
         "titles": lambda names: list(map(title, names)),
-        "shown": shown,
         "in_words": in_words,
-        "hidden_row": hidden_row,
+        "effects": LIBRARY,
         "sections": sections,
         "p_value": p_value,
         "spoilt_sentence": spoilt_sentence,
@@ -404,37 +400,11 @@ def describe(document: Document) -> str:
 
 def sections(document: Document) -> list[Section]:
     """The diagnosis as sections, in the order of the questions."""
-    folded = {
-        "The record before any gel": True,
-        "Where does it lie?": not document["examined"],
-        "Which effect causes it?": document["posterior"] is None,
-        "What is missing?": document.get("missing") is None,
-        "How far does it shrink on unseen curves?": document["shrinkage"] is None,
-        "What does it do to the parameters?": not (document["parameter_shift"] or document["gels"]),
-        "What to measure next?": document["next_design"] is None,
-        "Have the fits converged?": document["converged"],
-        "The medium": True,
-    }
-    blocks = map(str.splitlines, describe(document).split("\n\n")[:-1])
-    return [
-        Section(heading, tuple(map(str.strip, lines)), folded.get(heading, False))
-        for heading, *lines in blocks
-    ]
-
-
-def hidden_row(row: Document) -> tuple[str, str, str]:
-    """Title of an effect, the size that would have been found with 90 %, and what that size (where
-    there is none, its usual size), unseen, would move each parameter by.
-
-    Args:
-        row: an entry of ``hidden``.
-
-    >>> from imr_torch.gap.document import hidden_row
-    >>> hidden_row({"effect": "permanent_set", "size": None, "shift": {"G": -0.061}})[1:]
-    ('none of a usual size', 'G by up to 6.1 %')
-    """
-    name = row["effect"]
-    size = row["size"]
-    moves = ", ".join(f"{p} by up to {100 * abs(x):.2g} %" for p, x in row["shift"].items())
-    found = "none of a usual size" if size is None else shown(LIBRARY[name].names[0], size)
-    return title(name), found, moves or "nothing"
+    folded = ["The record before any gel", "The medium"]
+    folded += ["Have the fits converged?"] * document["converged"]
+    found = []
+    for block in describe(document).split("\n\n")[:-1]:
+        heading, *sentences = map(str.strip, block.splitlines())
+        nothing = sentences[0].startswith(_NOTHING)
+        found += [Section(heading, tuple(sentences), nothing or heading in folded)]
+    return found

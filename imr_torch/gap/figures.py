@@ -57,21 +57,29 @@ def gap_figures(document: Document) -> Iterator[NamedFigure]:
     tests = document["tests"]
     yield name_figure("diagnose.tests", plot_tests, tests, tests=tests, count=len(tests))
     if document["examined"]:
-        count = len(document["curves"])
-        yield name_figure("diagnose.phases", plot_phase_residual, document, count=count)
+        yield name_figure(
+            "diagnose.phases", plot_phase_residual, document, count=len(document["curves"])
+        )
         onset = document["onset"]
         yield name_figure("diagnose.onset", plot_onset, onset, onset=onset)
     if posterior := document["posterior"]:
         if posterior.get("other", 0.0) > _ALL:  # what each explains by itself
-            found = document["explained_nats"], document["unconverged"]
-            yield name_figure("diagnose.explained", plot_explained, *found)
+            yield name_figure(
+                "diagnose.explained",
+                plot_explained,
+                document["explained_nats"],
+                document["unconverged"],
+            )
         else:
-            top = max(posterior, key=posterior.__getitem__)
-            yield name_figure("diagnose.causes", plot_causes, posterior, top=top)
-    if (missing := document.get("missing")) and missing["shots"]:
-        count = len(missing["shots"])
-        yield name_figure("diagnose.missing", plot_missing_pressure, missing["shots"], count=count)
-        yield name_figure("diagnose.missing_states", plot_missing_states, missing["shots"])
+            yield name_figure(
+                "diagnose.causes",
+                plot_causes,
+                posterior,
+                top=max(posterior, key=posterior.__getitem__),
+            )
+    if (missing := document.get("missing")) and (shots := missing["shots"]):
+        yield name_figure("diagnose.missing", plot_missing_pressure, shots, count=len(shots))
+        yield name_figure("diagnose.missing_states", plot_missing_states, shots)
     if document["shrinkage"] and document["shrinkage"]["share"]:
         yield name_figure("diagnose.shrinkage", plot_shrinkage, document["shrinkage"])
     if document["parameters_with_model_error"]:
@@ -241,8 +249,9 @@ def plot_missing_states(shots: Sequence[Document]) -> Axes:
 
 def plot_shrinkage(found: Document) -> Axes:
     """Part of the gap on unseen curves that is gone, beside what random effects close."""
-    rows = {"all frames": found["share"], "after the first\nrebound": found["later"]}
-    rows = {name: share for name, share in rows.items() if share is not None}
+    rows = {"all frames": found["share"]}
+    if found["later"]:
+        rows["after the first\nrebound"] = found["later"]
     ax = new_axes((5.2, 1.2 + 0.45 * len(rows)))
     high = max(found["placebo_95"], 0.0)
     ax.axvspan(0.0, high, color="#DDDDDD", lw=0, label="95 % of random libraries")

@@ -43,7 +43,7 @@ from imr_torch.gap.hypotheses import overdispersion
 from imr_torch.gap.verdict import NONE, OTHER, PRIOR_TWO, SLOW_NOISE
 from imr_torch.goodness.linear import Linearisation
 from imr_torch.goodness.phases import phase_clock
-from imr_torch.goodness.score import LEVEL, PULSES, STATE_LAW
+from imr_torch.goodness.score import LEVEL, PULSES, STATE_LAW, differentiate
 from imr_torch.material import Effect
 from imr_torch.material.model_belief import LEVELS
 from imr_torch.random import child, generator
@@ -119,12 +119,10 @@ def model_error(report: GapReport, *, seed: int = 0) -> ModelError:
     for fit, moved in drawn:
         physical = fit.prior.physical(fit.prior.unwhitened(moved))
         rows.append(physical[:, [fit.prior.names.index(name) for name in names]])
-    levels = tensor(LEVELS)
-    columns = torch.cat(rows).quantile(levels, dim=0).mT.tolist()
+    columns = torch.cat(rows).quantile(tensor(LEVELS), dim=0).mT.tolist()
     line = report.left.line
     square = float(line.residual[: line.batch.mask.numel()].square().sum())
-    intervals = dict(zip(names, columns, strict=True))
-    return ModelError(intervals, math.sqrt(max(square - frames, 0.0)))
+    return ModelError(dict(zip(names, columns, strict=True)), math.sqrt(max(square - frames, 0.0)))
 
 
 def _judged(report: GapReport) -> Attribution | None:
@@ -211,13 +209,7 @@ def smooth_errors(
     batch = line.batch
     clock = phase_clock(batch.times, line.prediction, batch.mask)
     bumps = (-0.5 * ((clock - knots[:, None, None]) / width).square()).exp()
-    slope = torch.stack(
-        [
-            torch.gradient(r, spacing=(t,))[0]
-            for r, t in zip(line.prediction, batch.times, strict=True)
-        ]
-    )
-    return torch.stack((bumps, bumps * slope))
+    return torch.stack((bumps, bumps * differentiate(line.prediction, batch.times)))
 
 
 @dataclass(frozen=True)

@@ -48,8 +48,8 @@ class WithinMisfit:
     """Fits with noise of the size of what is left, where no model is enough.
 
     Args:
-        own: the base model's fit with noise of the size of what it leaves itself.
-        own_batch: the data with that noise.
+        own: the base model's fit with noise of the size of what it leaves itself, and the data
+            with that noise.
         batch: the data with noise of the size of what is left beside the selected parts.
         null: the base model's fit with that noise.
         left: the gap test there.
@@ -58,8 +58,7 @@ class WithinMisfit:
             with the camera's.
     """
 
-    own: ModelFit
-    own_batch: ExperimentBatch
+    own: tuple[ModelFit, ExperimentBatch]
     batch: ExperimentBatch
     null: ModelFit
     left: Adequacy
@@ -145,8 +144,7 @@ def _select_within_misfit(
     """
     held = Hypothesis(inquiry.base)
     fit, widened = fit_with_noise(inquiry, held, null, of_misfit=True, seed=child(seed, "misfit"))
-    own_fit = fit
-    own_batch = widened.batch
+    without = fit, widened.batch
     left = widened.test(fit, held, seed=seed)
     steps: list[Attribution] = []
     while len(held.parts) < inquiry.most and inquiry.longer(held):
@@ -165,7 +163,7 @@ def _select_within_misfit(
         held = step.hypotheses[name]
         fit, widened = fit_with_noise(inquiry, held, step.fits[name], of_misfit=True, seed=own)
         left = widened.test(fit, held, seed=own)
-    base = own_fit
+    base, _ = without
     if held.parts:
         near = steps[0].fits[NONE]
         base = fit_null(replace(widened, progress=None), seed=seed, near=near)
@@ -176,7 +174,7 @@ def _select_within_misfit(
         finding,
         selected=held,
         selected_fit=fit,
-        within_misfit=WithinMisfit(own_fit, own_batch, widened.batch, base, left, tuple(steps)),
+        within_misfit=WithinMisfit(without, widened.batch, base, left, tuple(steps)),
         reason="No effect of the library is enough; where all that is left counts as noise, "
         f"{explained}.",
     )

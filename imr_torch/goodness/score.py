@@ -27,7 +27,7 @@ from imr_torch.material import Effect
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import generator
 from imr_torch.simulate import Simulator
-from imr_torch.types import Directions, Values
+from imr_torch.types import Directions, ExperimentFrames, Values
 
 LEVEL = 0.04
 """Chance of a gap being found where there is none."""
@@ -52,7 +52,7 @@ LEAST_LEFT = 1e-4
 EVERYTHING = "everything (chi-square)"
 """Name of the test of all residuals together, which only noise that is known allows."""
 STATE_LAW = "generic stress law"
-PULSES = "pulses common to all experiments"
+PULSES = "pressure pulses"
 SHAPE = "shape of the output"
 """Names of generic blocks: of the generic closure, of pressure pulses, of the output's shape."""
 
@@ -219,7 +219,7 @@ def generic_rows(
         one = eye(experiments)
         masks = line.pad_rows(one.repeat_interleave(times.shape[1], 1))
         found["parameters between designs"] = (masks[:, None] * gel).flatten(0, 1)
-        found["pulses in single experiments"] = (masks[:, None] * pulses).flatten(0, 1)
+        found["pressure pulses in single experiments"] = (masks[:, None] * pulses).flatten(0, 1)
     return found
 
 
@@ -237,13 +237,14 @@ def shape_rows(line: Linearisation) -> Float[Tensor, "3 rows"]:
     ``3 x N``.
     """
     times = line.batch.times
-    slope = torch.stack(
-        [torch.gradient(r, spacing=(t,))[0] for r, t in zip(line.prediction, times, strict=True)]
-    )
-    bend = torch.stack(
-        [torch.gradient(r, spacing=(t,))[0] for r, t in zip(slope, times, strict=True)]
-    )
-    return line.whiten(torch.stack((slope, times * slope, bend)))
+    slope = differentiate(line.prediction, times)
+    return line.whiten(torch.stack((slope, times * slope, differentiate(slope, times))))
+
+
+def differentiate(curves: ExperimentFrames, times: ExperimentFrames) -> ExperimentFrames:
+    """Derivatives ``E x T`` of curves by time, by differences between frames."""
+    slopes = [torch.gradient(r, spacing=(t,))[0] for r, t in zip(curves, times, strict=True)]
+    return torch.stack(slopes)
 
 
 def gap_test(blocks: Sequence[Block], line: Linearisation, *, seed: int) -> GapTest:

@@ -252,7 +252,7 @@ def load_set(
     ...     numpy.savez(Path(folder) / "gel.npz", **arrays)
     ...     (experiment,) = load_set(Path(folder) / "gel.npz")
     >>> experiment.label, experiment.repeats
-    ('design 0', 2)
+    ('design 1', 2)
     """
     outer = surroundings or Surroundings()
     arrays = read_arrays(path, _SHAPES)
@@ -274,7 +274,8 @@ def load_set(
         )
     experiments = []
     for i, (weber, rest) in enumerate(zip(arrays["we"], arrays["rinf_star"], strict=True)):
-        where = f"{path}: design {i}"
+        label = f"design {i + 1}"
+        where = f"{path}: {label}"
         size = outer.max_radius(float(weber))
         radius = torch.as_tensor(arrays["radius_m"][i]) / size
         times = torch.as_tensor(arrays["time_s"][i]) / outer.time_scale(size)
@@ -288,7 +289,7 @@ def load_set(
         radius = radius[torch.isfinite(radius).any(1)]
         design = (float(weber), float(rest))
         try:
-            found = Experiment(f"design {i}", design, times[seen], radius, nuisance)
+            found = Experiment(label, design, times[seen], radius, nuisance)
         except InputDataError as error:
             raise InputDataError(f"{where}: {error}") from None
         _check_units(where, found, size, outer.time_scale(size))

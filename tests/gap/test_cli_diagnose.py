@@ -104,16 +104,8 @@ def test_that_noise_may_make_a_collapsed_radius_negative(matched, tmp_path):
 
 def test_that_matched_data_give_silence_in_words_json_and_html(matched, tmp_path, capsys):
     paths = {"json": tmp_path / "result.json", "html": tmp_path / "page.html"}
-    options = [
-        *FAST,
-        "--heldout",
-        "design 1",
-        "--json",
-        str(paths["json"]),
-        "--html",
-        str(paths["html"]),
-    ]
-    assert main(["diagnose", str(matched), *options]) == 0
+    said = "--json {json} --html {html} --heldout".format(**paths)
+    assert main(["diagnose", str(matched), *FAST, *said.split(), "design 2"]) == 0
     captured = capsys.readouterr()
     assert captured.err == ""
     assert "No gap was found" in captured.out
@@ -129,8 +121,8 @@ def test_that_matched_data_give_silence_in_words_json_and_html(matched, tmp_path
     assert len(names) == 3  # and the curve
     page = paths["html"].read_text()
     assert "No gap was found" in page
-    assert "radius over time of design 0" in page
-    assert "radius over time of design 1" not in page  # the one that is held out is not looked at
+    assert "radius over time of design 1" in page
+    assert "radius over time of design 2" not in page  # the one that is held out is not looked at
 
 
 @pytest.mark.parametrize(("options", "words"), [((), False), (("--noise", "estimated"), True)])
@@ -154,10 +146,10 @@ def test_that_a_set_has_the_published_noise_however_few_its_repeats(
         ),
         (
             ["{good}", "--heldout", "design 7"],
-            "--heldout: no experiment 'design 7' among the 2 loaded: design 0, design 1",
+            "--heldout: no experiment 'design 7' among the 2 loaded: design 1, design 2",
         ),
         (
-            ["{good}", "--heldout", "design 0,design 1"],
+            ["{good}", "--heldout", "design 1,design 2"],
             "--heldout leaves none of the 2 experiments to fit",
         ),
     ],

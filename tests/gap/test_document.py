@@ -6,8 +6,7 @@ import json
 import math
 import re
 import sys
-from html.parser import HTMLParser
-from pathlib import Path
+from xml.etree import ElementTree
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -17,7 +16,7 @@ from matplotlib.image import imread
 from imr_torch.errors import ConvergenceError
 from imr_torch.float64 import linspace, tensor
 from imr_torch.gap import MediumSensitivity, describe, diagnose, examine, library, to_json
-from imr_torch.gap.document import _fill_template, hidden_row, sections, shown, title
+from imr_torch.gap.document import _fill_template, sections, title
 from imr_torch.gap.figures import gap_figures, plot_intervals
 from imr_torch.material import LIBRARY, PARAMETERS
 from imr_torch.observe import SimulatedLaboratory
@@ -245,18 +244,19 @@ def contradictions(document: dict) -> list[str]:
             for line in closes
         )
     for name, values in document["parameters"].items():
-        said = [shown(name, value) for value in values]
+        said = PARAMETERS[name].interval(*values)
         unit = PARAMETERS[name].display_unit or PARAMETERS[name].unit
-        found[f"{name} without its unit"] = not all(unit in value for value in said)
+        found[f"{name} without its unit"] = f"{unit} (" not in said
         missed = document["gap"] and verdict != "effect"
-        told = f"{name} {'would be' if missed else 'is'} {said[1]}"
+        told = f"{name} {'would be' if missed else 'is'} {said}"
         found[f"{name} is another in words"] = told not in text
     for row in document["hidden"]:
-        parameter = LIBRARY[row["effect"]].names[0]
-        unit = PARAMETERS[parameter].display_unit or PARAMETERS[parameter].unit
-        found[f"{parameter} hides without its unit"] = (
-            row["size"] is not None and unit != "1" and unit not in hidden_row(row)[1]
-        )
+        effect = row["effect"]
+        entry = PARAMETERS[LIBRARY[effect].names[0]]
+        lines = re.findall(rf"\({effect}\): (.*) would be found", text)
+        size = rf"none of a usual size|[\d.e-]+ ?{re.escape(entry.shown_unit)}( .*)? \(.+\)"
+        found[f"{effect} hides without its unit"] = any(not re.fullmatch(size, x) for x in lines)
+        found[f"{effect} hides beside a gap without a cause"] = bool(lines) and verdict == "other"
     return [what for what, holds in found.items() if holds]
 
 
@@ -296,16 +296,31 @@ def test_that_a_named_cause_closes_the_gap_and_one_shot_says_why_nothing_is_judg
         in describe(documents["named"])
     )
     assert documents["one shot"]["shrinkage"] is None
+    assert not any("all experiments" in test["name"] for test in documents["one shot"]["tests"])
     assert "give two curves or more" in describe(documents["one shot"])
     assert "no effect was selected" in describe(documents["differ"])
 
 
 def test_that_what_these_data_would_not_show_stands_beside_every_verdict(documents):
     for document in documents.values():
-        rows = list(map(hidden_row, document["hidden"]))
-        assert len(rows) >= 1
-        assert all(len(row) == 3 and row[0].endswith(")") for row in rows)
+        lines = describe(document).count(" would be found; ")
+        assert lines == (0 if document["verdict"] == "other" else len(document["hidden"]))
     assert {row["effect"] for row in documents["none"]["hidden"]} == set(OFFERED)
+
+
+def test_that_values_are_in_units_of_a_laboratory(documents):
+    field = {"sound_frequency": [1.5, 1.57, 1.6], "sound_phase": [0.0, 0.2, 0.4]}
+    moved = {"density": {"base": [-0.1, 0.0, 0.1], "with_cause": [-0.1, 0.01, 0.1]}}
+    assert all(1e-5 < curve["time_scale_s"] < 1e-4 for curve in documents["named"]["curves"])
+    text = describe(
+        documents["named"]
+        | {"cause_values": {"sound_field": field}, "parameter_shift": moved}
+        | {"curves": [{"time_scale_s": 2e-5}]}
+        | {"medium": {"density": {"value": 1060.0, "unit": "kg/m^3"}}}
+    )
+    assert f"frequency is {math.exp(1.57) / (2 * math.pi * 2e-5) / 1e3:.4g} kHz in the" in text
+    assert "its phase is 0.2 rad (90 %: 0 to 0.4)" in text
+    assert "density: 1060 kg/m^3 becomes 1071 kg/m^3 (90 %: 959.1 to 1171)" in text
 
 
 def test_that_gels_that_differ_are_listed_shot_by_shot(documents):
@@ -374,35 +389,6 @@ def test_that_the_log_of_a_density_is_drawn_as_a_factor():
     assert "ln" not in ax.get_yticklabels()[0].get_text()
 
 
-class _Reader(HTMLParser):
-    def __init__(self):
-        super().__init__()
-        self.images = []
-        self.headings = []
-        self.links = []
-        self.open = []
-
-    def handle_starttag(self, tag, attrs):
-        attributes = dict(attrs)
-        self.links += [attributes[key] for key in ("src", "href") if key in attributes]
-        if tag == "img":
-            self.images.append(attributes)
-        if re.fullmatch(r"h\d", tag):
-            self.headings.append(tag)
-        if tag not in ("img", "meta", "link"):
-            self.open.append(tag)
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-
-def read(page: Path) -> _Reader:
-    reader = _Reader()
-    reader.feed(page.read_text())
-    assert reader.open == []
-    return reader
-
-
 @pytest.fixture(scope="module")
 def page(documents, tmp_path_factory):
     with rendering():
@@ -412,10 +398,12 @@ def page(documents, tmp_path_factory):
 
 
 def test_that_the_page_is_one_file_with_every_figure_decodable_and_described(documents, page):
-    reader = read(page)
-    assert all(link.startswith("data:") for link in reader.links)
-    assert len(reader.images) == len(list(gap_figures(documents["named"])))
-    for image in reader.images:
+    text = re.sub(r"<((img|meta|link)\b[^>]*)>", r"<\1/>", page.read_text().partition("\n")[2])
+    elements = list(ElementTree.fromstring(text).iter())  # fails unless all are nested
+    assert all(e.get(key, "data:").startswith("data:") for e in elements for key in ("src", "href"))
+    images = [element.attrib for element in elements if element.tag == "img"]
+    assert len(images) == len(list(gap_figures(documents["named"])))
+    for image in images:
         pixels = imread(
             io.BytesIO(base64.b64decode(image["src"].removeprefix("data:image/png;base64,")))
         )

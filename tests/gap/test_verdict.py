@@ -28,6 +28,7 @@ EFFECTS = library(
 FAMILIES = {effect.name: effect.family for effect in EFFECTS}
 EVEN = dict.fromkeys(["none", *FAMILIES], -3.0)
 NOTHING = Hypothesis(BASE)
+UNKNOWN = {"gas_loss": 0.0, "none": 0.0, "other": 1.0}
 
 
 def hypothesis(name: str) -> Hypothesis:
@@ -60,7 +61,8 @@ def named(posterior: dict[str, float], winner: str, **about: float):
     return selection.name_causes(attribution(posterior, winner, **about), choose(posterior))
 
 
-def selected(p_gap: float):
+def selected(monkeypatch, p_gap: float, attribute):
+    monkeypatch.setattr(selection, "attribute", attribute)
     left = SimpleNamespace(test=SimpleNamespace(p_value=p_gap, bias_radius=0.02), starts={})
     batch = SimpleNamespace(noise_laws=None)
     inquiry = Inquiry(BASE, batch, None, EFFECTS)
@@ -149,48 +151,39 @@ def test_that_nobody_is_named_while_the_base_model_alone_is_probable(none, verdi
 @pytest.mark.parametrize(("none", "verdict"), [(0.6, "none"), (0.02, "effect")])
 def test_that_the_evidence_takes_a_gap_back_that_no_effect_explains(monkeypatch, none, verdict):
     found = attribution({"gas_loss": 0.96 - none, "none": none, "other": 0.04}, "gas_loss")
-    monkeypatch.setattr(selection, "attribute", lambda *_, **__: found)
-    finding = selected(0.02)
+    finding = selected(monkeypatch, 0.02, lambda *_, **__: found)
     assert finding.verdict == verdict
     assert ("keeps a probability of 0.60" in finding.reason) == (verdict == "none")
 
 
 @pytest.mark.parametrize(("other", "cause"), [(0.1, ("wall",)), (0.9, ("gas_loss", "wall"))])
 def test_that_a_first_effect_is_dropped_where_the_second_is_enough_alone(monkeypatch, other, cause):
-    first = attribution({"gas_loss": 0.0, "none": 0.0, "other": 1.0}, "gas_loss", p_adequate=1e-6)
+    first = attribution(UNKNOWN, "gas_loss", p_adequate=1e-6)
     probable = {"gas_loss+wall": 0.96, "none": 0.0, "other": 0.04}
     both = attribution(probable, "gas_loss+wall", held=hypothesis("gas_loss"), nats=20.0)
     alone = attribution({"wall": 1.0 - other, "none": 0.0, "other": other}, "wall")
-    monkeypatch.setattr(
-        selection, "attribute", lambda _, fit, held, **__: both if held.parts else first
-    )
     monkeypatch.setattr(selection, "reconsider", lambda *_, **__: alone)
-    finding = selected(0.0)
+    finding = selected(monkeypatch, 0.0, lambda _, fit, held, **__: both if held.parts else first)
     assert (finding.verdict, finding.cause) == ("effect", cause)
     assert finding.steps == (first, both)
 
 
 @pytest.mark.parametrize(
-    ("nats", "said"), [(40.0, "nearest comes gas_loss (40 nats;"), (0.3, "explains any of it")]
+    ("converged", "nats", "verdict", "said"),
+    [
+        (True, 40.0, "other", "nearest comes gas_loss (40 nats;"),
+        (True, 0.3, "other", "explains any of it"),
+        (False, 40.0, "undecided", "the fit with gas_loss did not converge"),
+    ],
 )
-def test_that_other_says_what_came_nearest_only_if_that_explains_something(monkeypatch, nats, said):
-    found = attribution({"gas_loss": 0.0, "none": 0.0, "other": 1.0}, "gas_loss", p_adequate=1e-6)
-    monkeypatch.setattr(selection, "attribute", lambda *_, **__: found)
+def test_that_other_says_what_came_nearest_if_that_explains_something_and_is_certified(
+    monkeypatch, converged, nats, verdict, said
+):
+    found = attribution(UNKNOWN, "gas_loss", p_adequate=1e-6, converged=converged)
     monkeypatch.setattr(selection, "laplace_evidence", lambda fit: 0.0 if fit is None else nats)
-    finding = selected(0.0)
-    assert finding.verdict == "other"
+    finding = selected(monkeypatch, 0.0, lambda *_, **__: found)
+    assert (finding.verdict, finding.cause) == (verdict, ())
     assert said in finding.reason
-
-
-def test_that_other_needs_a_certificate_of_what_came_nearest(monkeypatch):
-    found = attribution(
-        {"gas_loss": 0.0, "none": 0.0, "other": 1.0}, "gas_loss", p_adequate=1e-6, converged=False
-    )
-    monkeypatch.setattr(selection, "attribute", lambda *_, **__: found)
-    monkeypatch.setattr(selection, "laplace_evidence", lambda fit: 0.0 if fit is None else 40.0)
-    finding = selected(0.0)
-    assert (finding.verdict, finding.cause) == ("undecided", ())
-    assert "the fit with gas_loss did not converge" in finding.reason
 
 
 def test_that_slow_noise_has_its_prior_and_deviations_alike_in_all_shots_as_an_unknown_effect():
@@ -217,8 +210,7 @@ def test_that_slow_noise_is_no_effect_and_is_said_with_what_would_decide(monkeyp
     found = attribution(
         {"gas_loss": 0.05, "none": 0.05, "other": 0.4, "slow_noise": 0.5}, "gas_loss"
     )
-    monkeypatch.setattr(selection, "attribute", lambda *_, **__: found)
-    finding = selected(0.0)
+    finding = selected(monkeypatch, 0.0, lambda *_, **__: found)
     assert (finding.verdict, finding.cause) == ("other", ())
     assert "slow_noise" in finding.choice.members
     doubtful = named({"gas_loss": 0.8, "slow_noise": 0.15, "none": 0.0, "other": 0.05}, "gas_loss")

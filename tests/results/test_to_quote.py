@@ -6,10 +6,15 @@ import copy
 
 import pytest
 
+from imr_torch.gap import MediumSensitivity
 from imr_torch.results import document_page, document_report
 from tests.results.documents import documented, traces
 
 MISSED = {"explained": False, "sentence": "Misfit: the model does not explain the curves."}
+
+ASSUMED = MediumSensitivity(
+    "far_field_pressure", "101 kPa", 1.02, {"G": -0.1}, {"G": -1.2}
+).to_dict()
 
 
 @pytest.fixture(scope="module")
@@ -61,6 +66,7 @@ def population(*, verdict: str, cautions: tuple[str, ...] = ()) -> dict:
         ({"model_probabilities": {"nhkv": 0.7}}, "say that the model has a probability of 0.70"),
         ({"fit_test": None}, "say that it was not tested whether it explains the data"),
         ({"medium_unstated": "Not stated."}, "say that the density was not measured"),
+        ({"medium_sensitivities": [ASSUMED]}, "; it holds for the assumed pressure 101 kPa."),
         ({"fit_test": MISSED}, "Quote nothing of these curves: NHKV does not explain them"),
         ({"converged": False}, "Quote nothing: the fit of NHKV has not converged"),
         ({"verdict": "refused"}, "Quote nothing: the computation of the intervals of NHKV is not"),
