@@ -164,6 +164,7 @@ class Characterization:
         tested = self.fit_test
         shots = self.collapse_times()
         patterns = find_patterns(shots)
+        motion = self.simulator.conditions.motion
         return {
             "experiments": [
                 {
@@ -202,6 +203,9 @@ class Characterization:
             "belief": self.posterior.to_dict(),
             "weighted_draws": draws_to_dict(self.assimilation),
             "cpu_seconds": self.seconds,
+            "physics": getattr(self.simulator, "physics", None),
+            "radial": motion.key,
+            "liquid": motion.liquid.key,
         }
 
     def _document_model(self, fit: ModelFit, evidence: Evidence) -> Document:

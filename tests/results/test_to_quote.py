@@ -61,6 +61,7 @@ def population(*, verdict: str, cautions: tuple[str, ...] = ()) -> dict:
         ({"model_probabilities": {"nhkv": 0.7}}, "say that the model has a probability of 0.70"),
         ({"fit_test": None}, "say that it was not tested whether it explains the data"),
         ({"medium_unstated": "Not stated."}, "say that the density was not measured"),
+        ({"physics": "polytropic"}, "say that the gas was polytropic, which biases G and mu"),
         ({"fit_test": MISSED}, "Quote nothing of these curves: NHKV does not explain them"),
         ({"converged": False}, "Quote nothing: the fit of NHKV has not converged"),
         ({"verdict": "refused"}, "Quote nothing: the computation of the intervals of NHKV is not"),
@@ -86,7 +87,8 @@ def test_that_the_last_sentence_says_what_to_quote(found, change, said):
     kept = {k: v for k, v in change.items() if k not in ("verdict", "converged")}
     if change.get("fit_test"):
         kept["fit_test"] = document["fit_test"] | MISSED
-    document |= kept
-    last = document_report(document).splitlines()[-1]
+    document |= {"physics": "transport"} | kept
+    first, *_, last = document_report(document).splitlines()
     assert said in last
+    assert ("polytropic" in first) == ("polytropic" in last) == (document["physics"] == "polytropic")
     assert said in document_page(document).partition("<section>")[0]
