@@ -90,5 +90,7 @@ def test_that_the_last_sentence_says_what_to_quote(found, change, said):
     document |= {"physics": "transport"} | kept
     first, *_, last = document_report(document).splitlines()
     assert said in last
-    assert ("polytropic" in first) == ("polytropic" in last) == (document["physics"] == "polytropic")
+    assert (
+        ("polytropic" in first) == ("polytropic" in last) == (document["physics"] == "polytropic")
+    )
     assert said in document_page(document).partition("<section>")[0]
