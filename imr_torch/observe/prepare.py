@@ -14,6 +14,7 @@ from imr_torch.html import render
 from imr_torch.observe.convert import to_experiment
 from imr_torch.observe.experiments import Experiment
 from imr_torch.observe.landmarks import Landmarks, find_landmarks
+from imr_torch.observe.nuisance import FLOOR
 from imr_torch.observe.plausibility import (
     LIMITS,
     RAYLEIGH_TIME,
@@ -138,7 +139,7 @@ def prepare(
         )
         firsts[name] = first
     cautions += _find_outvoting_curve(experiments)
-    cautions += () if rest_radius else _name_unused_rest_radii(traces, landmarks)
+    cautions += _name_unused_values(traces, landmarks, rest=rest_radius is None)
     return Prepared(
         tuple(experiments),
         landmarks,
@@ -218,30 +219,38 @@ def _collapse_frame(
     return float(whole.times[near[whole.radius[0, near].argmin()]])
 
 
-def _name_unused_rest_radii(traces: TraceSet, landmarks: dict[str, Landmarks]) -> list[str]:
-    """Says which stated rest radii are not used though the record's is another, and why."""
-    reasons: dict[str, list[str]] = {}
+def _name_unused_values(
+    traces: TraceSet, landmarks: dict[str, Landmarks], *, rest: bool
+) -> list[str]:
+    """Says which stated maximum and ``rest`` radii are not used though the record's are others, and
+    why.
+    """
+    reasons: dict[tuple[str, str], list[str]] = {}
     for trace in traces:
-        stated = trace.given.rest_radius_m
+        given = trace.given
         marks = landmarks[trace.experiment_id]
-        if (
-            stated is None
-            or marks.rest_radius_m is None
-            or marks.rest_method in ("as given", "as stated")
+        settled = marks.rest_method == "settled tail"
+        why = "holds a settled tail" if settled else "ends, as is stated, before the bubble settled"
+        top_sd = math.hypot(marks.max_radius_sd_m, FLOOR.max_radius * marks.max_radius_m)
+        for name, stated, found, sd, method, reason in (
+            ("Rmax", given.max_radius_m, marks.max_radius_m, top_sd, marks.max_method, "shows it"),
+            (
+                "R_inf",
+                given.rest_radius_m if rest else None,
+                marks.rest_radius_m,
+                marks.rest_radius_sd_m or 0.0,
+                marks.rest_method,
+                why,
+            ),
         ):
-            continue
-        if abs(stated - marks.rest_radius_m) > 2.0 * (marks.rest_radius_sd_m or 0.0):
-            settled = marks.rest_method == "settled tail"
-            why = (
-                "the record holds a settled tail"
-                if settled
-                else "it is stated that the bubble had not settled"
-            )
-            reasons.setdefault(why, []).append(f"'{trace.experiment_id}'")
+            if stated is None or found is None or method in ("as given", "as stated"):
+                continue
+            if abs(stated - found) > 2.0 * sd:
+                reasons.setdefault((name, reason), []).append(f"'{trace.experiment_id}'")
     return [
-        f"The stated R_inf of {', '.join(names)} is not used, since {why}. To use it, state it as "
-        "an override."
-        for why, names in reasons.items()
+        f"The stated {name} of {', '.join(names)} is not used, since the record {why}. To use it, "
+        "state it as an override."
+        for (name, why), names in reasons.items()
     ]
 
 
