@@ -81,7 +81,7 @@ class Noise:
         own = self.of_frames.scale
         published = Noise()
         if (self.slope, self.drift) == (published.slope, published.drift):
-            grows = f"{own:.2f} x the published law"
+            grows = f"{own:.2f} x the published law (|R*-1|/50 + t*/160)"
         else:
             parts = ((self.slope, "|R*-1|"), (self.drift, "t*"))
             grows = " + ".join(f"{own * size:.2g} {of}" for size, of in parts if size) or "0"
@@ -255,8 +255,8 @@ def noise_sentences(noise: Noise, interval: Sequence[float] | None) -> list[str]
         return []
     low, middle, high = interval
     lines = [
-        f"Noise of single frames, inferred: {middle:.2g} in R* in the median frame (90 %: "
-        f"{low:.2g} to {high:.2g})."
+        f"Noise of the camera, inferred from single frames: {middle:.2g} in R* in the median frame "
+        f"(90 %: {low:.2g} to {high:.2g})."
     ]
     if noise.widened >= WIDE:
         common = "Residuals have more in common than such noise; intervals are"
