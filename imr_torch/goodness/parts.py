@@ -47,12 +47,14 @@ class Part:
         without: parameter -> [5, 50, 95 %] of a fit to the others, SI.
         shifts: parameter -> how far its median moves, over the standard deviation that this has if
             the model is right; of those that the part tells of.
+        converged: whether the fits with and without it did; nothing is compared otherwise.
     """
 
     name: str
     frames: int
     without: Mapping[str, list[float]]
     shifts: Mapping[str, float]
+    converged: bool = True
 
 
 @dataclass(frozen=True)
@@ -94,33 +96,52 @@ class PartsTest:
         """Whether no shift is beyond the limit."""
         return not self.compared or self.compared[-1][0] <= self.limit
 
+    def _describe_move(self, part: Part, parameter: str) -> str:
+        change = 100.0 * (part.without[parameter][1] / self.whole[parameter][1] - 1.0)
+        more = "higher" if change > 0.0 else "lower"
+        return f"without the {part.name} {parameter} would be {abs(change):.0f} % {more}"
+
+    def _describe_uncompared(self, part: Part) -> str:
+        """Which parameters were not compared and why, with those whose median leaves the interval
+        of all frames; empty where all were.
+        """
+        names = [x for x in part.without if x not in part.shifts]
+        if not names:
+            return ""
+        outside = [
+            self._describe_move(part, x)
+            for x in names
+            if not self.whole[x][0] <= part.without[x][1] <= self.whole[x][2]
+        ]
+        why = (
+            "leaving it out hardly widens intervals" if part.converged else "a fit did not converge"
+        )
+        moves = f"; {' and '.join(outside)}, outside the interval of all frames" if outside else ""
+        return f"The part '{part.name}' was not compared for {' and '.join(names)}, since {why}{moves}."
+
     def sentences(self) -> list[str]:
-        """Whether they agree, and what tells of each parameter."""
+        """Whether they agree, which were not compared, and what tells of each parameter."""
+        aside = [text for part in self.parts if (text := self._describe_uncompared(part))]
         if not self.compared:
             return [
-                "The records have no second part that tells of the gel, so parts were not compared."
+                "The records have no second part that tells of the gel, so parts were not compared.",
+                *aside,
             ]
         shift, name, parameter = self.compared[-1]
         part = next(part for part in self.parts if part.name == name)
-        change = 100.0 * (part.without[parameter][1] / self.whole[parameter][1] - 1.0)
-        moved = (
-            f"without the {name} {parameter} would be {abs(change):.0f} % "
-            f"{'higher' if change > 0.0 else 'lower'}, {shift:.1f} sd of such a change, and noise "
-            f"alone leaves {self.limit:.1f}"
+        said = "The parts of the records agree" if self.agree else "Parts of the records disagree"
+        first = (
+            f"{said}: {self._describe_move(part, parameter)}, {shift:.1f} sd of such a change, and "
+            f"noise alone leaves {self.limit:.1f}."
         )
-        if self.agree:
-            first = f"The parts of the records agree: {moved}."
-        else:
-            first = (
-                f"Parts of the records disagree: {moved}. The model lacks something that residuals "
-                "need not show."
-            )
         told = [
             f"{shot}: frames that tell of "
             + ", ".join(f"{x}: {n} (most in the {phase})" for x, (n, phase) in found.items())
             for shot, found in self.telling.items()
         ]
-        return [first, *told]
+        moved = [text for text in aside if "outside the interval" in text]
+        unmoved = [text for text in aside if text not in moved]
+        return [" ".join((first, *moved)), *unmoved, *told]
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready values."""
@@ -186,9 +207,10 @@ def compare_parts(
         moved, without, ended = fit_frames(fit, batch, simulator, left)
         wider = find_variances(left)
         z = (moved - mean)[columns] / (wider - variance).clamp_min(1e-300).sqrt()
-        tells = (wider > widened**2 * variance) & torch.tensor(converged and ended)
+        ended = converged and ended
+        tells = (wider > widened**2 * variance) & torch.tensor(ended)
         shifts = {x: float(z[i]) for i, x in enumerate(names) if tells[i]}
-        parts.append(Part(name, int(frames.sum()), without, shifts))
+        parts.append(Part(name, int(frames.sum()), without, shifts, ended))
     influence = line.to_shift[columns, : batch.mask.numel()].square().unflatten(1, batch.mask.shape)
     telling = {
         experiment.label: {

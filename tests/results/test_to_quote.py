@@ -9,6 +9,7 @@ import pytest
 from imr_torch.results import document_page, document_report
 from tests.results.documents import documented, traces
 
+APART = {"parts": {"agree": False, "sentences": ["Parts of the records disagree."]}}
 MISSED = {"explained": False, "sentence": "Misfit: the model does not explain the curves."}
 
 
@@ -62,7 +63,8 @@ def population(*, verdict: str, cautions: tuple[str, ...] = ()) -> dict:
         ({"fit_test": None}, "say that it was not tested whether it explains the data"),
         ({"medium_unstated": "Not stated."}, "say that the density was not measured"),
         ({"physics": "polytropic"}, "say that the gas was polytropic, which biases G and mu"),
-        ({"fit_test": MISSED}, "Quote nothing of these curves: NHKV does not explain them"),
+        (APART, "say that parts of the records disagree"),
+        ({"fit_test": MISSED} | APART, "Quote nothing of these curves: NHKV does not explain them"),
         ({"converged": False}, "Quote nothing: the fit of NHKV has not converged"),
         ({"verdict": "refused"}, "Quote nothing: the computation of the intervals of NHKV is not"),
         ({"collapse_patterns": ["a pattern"]}, "Quote medians alone"),
@@ -90,6 +92,9 @@ def test_that_the_last_sentence_says_what_to_quote(found, change, said):
     document |= {"physics": "transport"} | kept
     first, *_, last = document_report(document).splitlines()
     assert said in last
+    if "parts" in change:
+        missed = "fit_test" in change
+        assert first.startswith("Misfit" if missed else "Parts of the records disagree. The model")
     assert (
         ("polytropic" in first) == ("polytropic" in last) == (document["physics"] == "polytropic")
     )
