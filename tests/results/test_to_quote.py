@@ -89,6 +89,8 @@ def test_that_the_last_sentence_says_what_to_quote(found, change, said):
     kept = {k: v for k, v in change.items() if k not in ("verdict", "converged")}
     if change.get("fit_test"):
         kept["fit_test"] = document["fit_test"] | MISSED
+    if change.get("parts"):
+        kept["parts"] = document["parts"] | change["parts"]
     document |= {"physics": "transport"} | kept
     first, *_, last = document_report(document).splitlines()
     assert said in last
