@@ -12,10 +12,11 @@ from benchmarks.interruptions import Disk
 from imr_torch.campaign import Journal
 from imr_torch.cli import COMMANDS, build_parser, main
 from imr_torch.cli.campaign_settings import settings_of
+from imr_torch.cli.characterize import choose_base
 from imr_torch.cli.common import read_options
 from imr_torch.cli.design import plan_of
 from imr_torch.float64 import arange, randn, tensor
-from imr_torch.material import PARAMETERS, wide_prior
+from imr_torch.material import PARAMETERS, Belief, wide_prior
 from imr_torch.observe import Nuisance
 from imr_torch.results import draw_figures
 from imr_torch.simulate import PolytropicSimulator, Status, explain_growth
@@ -435,6 +436,13 @@ def test_that_a_reference_case_is_observed_as_published_and_a_gel_of_ones_own_as
 @pytest.mark.parametrize(
     ("about", "rounds"), [(["--case", "soft-pa"], 0), (["--models", "nhkv"], 2)]
 )
+def test_that_an_elastic_model_is_the_base_of_a_diagnosis():
+    models = wide_prior(["newtonian", "nhkv", "qkv"]).models
+    belief = Belief(models, tensor([0.7, 0.1, 0.2]).log())
+    assert choose_base(belief).model == "qkv"
+    assert choose_base(Belief(models[:1], tensor([0.0]))).model == "newtonian"
+
+
 def test_that_the_noise_of_told_files_is_estimated_and_that_of_a_simulated_camera_known(
     about, rounds
 ):
