@@ -433,9 +433,6 @@ def test_that_a_reference_case_is_observed_as_published_and_a_gel_of_ones_own_as
         assert plan_of(build_parser().parse_args(["design", *gel, "--repeats", "3"])).repeats == 3
 
 
-@pytest.mark.parametrize(
-    ("about", "rounds"), [(["--case", "soft-pa"], 0), (["--models", "nhkv"], 2)]
-)
 def test_that_an_elastic_model_is_the_base_of_a_diagnosis():
     models = wide_prior(["newtonian", "nhkv", "qkv"]).models
     belief = Belief(models, tensor([0.7, 0.1, 0.2]).log())
@@ -443,6 +440,9 @@ def test_that_an_elastic_model_is_the_base_of_a_diagnosis():
     assert choose_base(Belief(models[:1], tensor([0.0]))).model == "newtonian"
 
 
+@pytest.mark.parametrize(
+    ("about", "rounds"), [(["--case", "soft-pa"], 0), (["--models", "nhkv"], 2)]
+)
 def test_that_the_noise_of_told_files_is_estimated_and_that_of_a_simulated_camera_known(
     about, rounds
 ):
