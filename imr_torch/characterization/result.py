@@ -3,6 +3,7 @@ table and a report.
 """
 
 import math
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -330,7 +331,10 @@ class Characterization:
     def to_result_document(self) -> Document:
         """:meth:`to_document` with its header."""
         files = list({trace.source: None for trace in self.traces})
-        return header("characterize", files=files, medium=self.medium) | self.to_document()
+        curve = ("--experiments", self.traces.ids[0]) if len(self.traces) == 1 else ()
+        command = shlex.join(["imr-torch", "diagnose", *files, *curve, "--html", "diagnosis.html"])
+        document = self.to_document(command)
+        return header("characterize", files=files, medium=self.medium) | document
 
     def collapse_times(self) -> list[dict[str, object]]:
         """Each shot of which the collapse time alone is known: measured and, by the most probable
