@@ -212,6 +212,8 @@ def test_that_the_page_and_the_figures_of_a_campaign_come_from_its_json_alone(
     assert {path.stem for path in tmp_path.glob("*.png")} == names
     page = (tmp_path / "page.html").read_text()
     assert "After 1 experiment(s) NHKV has a probability of" in page
+    assert 'class="verdict">Simulated: the shots' in page
+    assert "converged (gradient" in page
     assert page.count("data:image/png;base64,") == len(names)
     assert "<script" not in page
     del document["history"][0]["belief"]
@@ -283,6 +285,8 @@ def test_a_real_campaign_asks_learns_from_told_files_and_asks_again(tmp_path, ca
     assert len(result["designs"]) == 1
     assert result["noise"]["scale"] * result["noise"]["floor"] == pytest.approx(0.003, rel=0.4)
     assert "x the published law" in second
+    assert "converged (gradient" in second
+    assert "Simulated" not in second
     low, _, high = result["intervals"]["nhkv"]["G"]
     assert low < TRUTH["G"] < high
     ending = real(tmp_path / "other", "--stop", "designs=1", "--tell", shot)

@@ -72,6 +72,7 @@ def population(*, verdict: str, cautions: tuple[str, ...] = ()) -> dict:
             {"fit_test": MISSED, "population": population(verdict="scatter")},
             "Quote the population, since the shots differ and the model explains each by itself: median G 5 kPa",
         ),
+        ({"population": population(verdict="undecided")}, "Quote for NHKV: G "),
         (
             {
                 "fit_test": MISSED,
@@ -94,6 +95,8 @@ def test_that_the_last_sentence_says_what_to_quote(found, change, said):
     document |= {"physics": "transport"} | kept
     first, *_, last = document_report(document).splitlines()
     assert said in last
+    undecided = change.get("population", {}).get("verdict") == "undecided"
+    assert ("differs from shot to shot, if at all, by" in document_report(document)) is undecided
     if "parts" in change:
         missed = "fit_test" in change
         assert first.startswith("Misfit" if missed else "Parts of the records disagree. The model")
