@@ -21,7 +21,7 @@ from imr_torch.document import header
 from imr_torch.files import Document, drawn_numbers, without_nonfinite, write_json
 from imr_torch.gap import MediumSensitivity
 from imr_torch.goodness import FitTest, PartsTest
-from imr_torch.material import Belief
+from imr_torch.material import PARAMETERS, Belief
 from imr_torch.material.model_belief import intervals
 from imr_torch.observe import (
     CollapseTime,
@@ -52,7 +52,7 @@ _HANGS_ON_PRIOR = {
 """Whether the likelihood matters too -> what it means that the prior does."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Characterization:
     """Parameters, model probabilities and fits inferred from curves of one gel.
 
@@ -101,6 +101,8 @@ class Characterization:
     ... )
     >>> result.posterior.keys, result.assimilation.converged, len(result.evidence)
     (('nhkv',), True, 1)
+    >>> result
+    <Characterization of 1 curve(s), NHKV: G ... kPa (90 %: ...), mu ... Pa s (90 %: ...)>
     """
 
     prepared: Prepared
@@ -120,6 +122,12 @@ class Characterization:
     traces: TraceSet
     simulator: Simulator
     record: Record
+
+    def __repr__(self) -> str:
+        best = self.posterior.best
+        values = (f"{x} {PARAMETERS[x].interval(*v)}" for x, v in intervals(best).items())
+        count = len(self.prepared.experiments)
+        return f"<{type(self).__name__} of {count} curve(s), {best.material.title}: {', '.join(values)}>"
 
     @property
     def experiments(self) -> tuple[Experiment, ...]:

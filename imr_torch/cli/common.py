@@ -189,6 +189,19 @@ def parse_pair(text: str, option: str) -> tuple[float, float]:
     return first, second
 
 
+def parse_range(text: str, option: str) -> tuple[float, float]:
+    """The ends of a range."""
+    try:
+        low, high = parse_pair(text, option)
+        if not 0.0 < low < high:
+            raise ValueError("not in order")
+    except ValueError:
+        raise InputDataError(
+            f"{option} is {text!r}; expected LOW:HIGH, two numbers with 0 < LOW < HIGH."
+        ) from None
+    return low, high
+
+
 def parse_rest_radius(text: str, option: str) -> tuple[float, float]:
     """R_inf/Rmax and its standard deviation."""
     ratio, sd = parse_pair(text, option)
@@ -205,7 +218,8 @@ _READ: dict[str, Callable[[str, str], Any]] = {
     "layout": lambda text, _: Layout.from_text(text),
     "driving": lambda path, _: load_driving(path),
     "rest_radius": parse_rest_radius,
-    **dict.fromkeys(("we_range", "rinf_range", "delivered"), parse_pair),
+    "delivered": parse_pair,
+    **dict.fromkeys(("we_range", "rinf_range"), parse_range),
     **dict.fromkeys(("known", "set"), parse_values),
     **dict.fromkeys(
         ("models", "experiments", "exclude", "effects", "without", "heldout"), parse_names
@@ -264,7 +278,8 @@ def show_result(args: Namespace, document: Document, *, report: str = "") -> Non
         for failure in save_figures(figures, Path(args.out), progress=args.terminal):
             print(f"imr-torch: {failure}", file=sys.stderr)
     if getattr(args, "html", None):
-        write_page(document, args.html, report=report)
+        kept = args.json or (args.out and f"{args.out}/{args.command}.json")
+        write_page(document | ({"result_file": kept} if kept else {}), args.html, report=report)
 
 
 def report_result(args: Namespace, document: Document) -> None:
