@@ -473,8 +473,8 @@ CURVE = "".join(f"a,{i}e-6,{(300 - 9 * i if i < 30 else 10 + i) * 1e-6}\n" for i
             "--liquid is tait, and --radial keller_miksis is an equation in pressure; leave it out",
         ),
         (
-            ["design", "--models", "nhkv", "--we-range", "600:150"],
-            r"--we-range is '600:150'; expected LOW:HIGH, two numbers with 0 < LOW < HIGH",
+            ["design", "--models", "nhkv", "--we-range", "150,600"],
+            r"--we-range: '150,600' is not LOW:HIGH, for example 0\.15:0\.25",
         ),
         (["design", "--belief", "none.json"], r"none\.json: no such file; expected .*folder"),
         (

@@ -121,15 +121,13 @@ def check_chosen(command: str, values: Document, files: Sequence[str] = ()) -> N
     >>> check_chosen("compare", {"a": "results/1/characterize.json", "b": ""})
     Traceback (most recent call last):
     ...
-    imr_torch.errors.InputDataError: Compare two: choose the second gel first.
+    imr_torch.errors.InputDataError: Compare two: The second gel is missing.
     """
     given = values | {"files": files}
     for name, settings in OPTIONS[command].items():
         flag = settings["flag"]
         if flag and not flag.startswith("--") and not given.get(name):
-            what = LABELS.get(name, f"the {name}")
-            what = what[0].lower() + what[1:]
-            raise InputDataError(f"{FORMS[command].title}: choose {what} first.")
+            raise InputDataError(f"{FORMS[command].title}: {LABELS.get(name, name)} is missing.")
 
 
 def read_arguments(arguments: Sequence[str]) -> Document:

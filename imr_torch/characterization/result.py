@@ -21,6 +21,7 @@ from imr_torch.document import header
 from imr_torch.files import Document, drawn_numbers, without_nonfinite, write_json
 from imr_torch.gap import MediumSensitivity
 from imr_torch.goodness import FitTest, PartsTest
+from imr_torch.html import render
 from imr_torch.material import PARAMETERS, Belief
 from imr_torch.material.model_belief import intervals
 from imr_torch.observe import (
@@ -40,16 +41,6 @@ from imr_torch.simulate import Simulator
 
 if TYPE_CHECKING:
     import pandas
-
-
-SENSITIVE = 0.3
-"""Standard deviations per doubling of a power from which on a posterior is called sensitive: where
-Kallioinen et al. (2024) draw the line, on a normal."""
-_HANGS_ON_PRIOR = {
-    True: "prior and curves disagree, and the interval hangs on both; look at the prior",
-    False: "the curves say little, and the interval is mostly that of the prior",
-}
-"""Whether the likelihood matters too -> what it means that the prior does."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -124,10 +115,12 @@ class Characterization:
     record: Record
 
     def __repr__(self) -> str:
-        best = self.posterior.best
-        values = (f"{x} {PARAMETERS[x].interval(*v)}" for x, v in intervals(best).items())
-        count = len(self.prepared.experiments)
-        return f"<{type(self).__name__} of {count} curve(s), {best.material.title}: {', '.join(values)}>"
+        return render(
+            "characterization.txt",
+            found=self,
+            intervals=intervals(self.posterior.best),
+            parameters=PARAMETERS,
+        )
 
     @property
     def experiments(self) -> tuple[Experiment, ...]:
@@ -236,11 +229,6 @@ class Characterization:
             "draws": fit.trust,
             "advice": self._advise_more_draws(fit),
             "power_sensitivities": moves,
-            "prior_sentences": [
-                f"{name}: {_HANGS_ON_PRIOR[pair[1] >= SENSITIVE]}"
-                for name, pair in moves.items()
-                if pair[0] >= SENSITIVE
-            ],
             "verdict": fit.verdict.name.lower(),
             "certificate": vars(certificate)
             | {"agreement": min(certificate.agreement, 1e300), "sentence": str(certificate)},

@@ -8,6 +8,7 @@ import sys
 from argparse import Namespace
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -176,30 +177,17 @@ def parse_names(text: str, option: str) -> list[str]:
     return names
 
 
-def parse_pair(text: str, option: str) -> tuple[float, float]:
+def parse_pair(
+    text: str, option: str, form: str = "VALUE:VALUE, for example 0.2:0.1"
+) -> tuple[float, float]:
     """``"0.2:0.1"`` as two numbers."""
     try:
         first, second = (float(x) for x in text.split(":"))
         if not (math.isfinite(first) and math.isfinite(second)):
             raise ValueError("not finite")
     except ValueError:
-        raise InputDataError(
-            f"{option}: {text!r} is not VALUE:VALUE, for example 0.2:0.1."
-        ) from None
+        raise InputDataError(f"{option}: {text!r} is not {form}.") from None
     return first, second
-
-
-def parse_range(text: str, option: str) -> tuple[float, float]:
-    """The ends of a range."""
-    try:
-        low, high = parse_pair(text, option)
-        if not 0.0 < low < high:
-            raise ValueError("not in order")
-    except ValueError:
-        raise InputDataError(
-            f"{option} is {text!r}; expected LOW:HIGH, two numbers with 0 < LOW < HIGH."
-        ) from None
-    return low, high
 
 
 def parse_rest_radius(text: str, option: str) -> tuple[float, float]:
@@ -219,7 +207,9 @@ _READ: dict[str, Callable[[str, str], Any]] = {
     "driving": lambda path, _: load_driving(path),
     "rest_radius": parse_rest_radius,
     "delivered": parse_pair,
-    **dict.fromkeys(("we_range", "rinf_range"), parse_range),
+    **dict.fromkeys(
+        ("we_range", "rinf_range"), partial(parse_pair, form="LOW:HIGH, for example 0.15:0.25")
+    ),
     **dict.fromkeys(("known", "set"), parse_values),
     **dict.fromkeys(
         ("models", "experiments", "exclude", "effects", "without", "heldout"), parse_names

@@ -23,6 +23,7 @@ from imr_torch.assimilate.local_minimum import descend_from
 from imr_torch.float64 import linspace
 from imr_torch.goodness.linear import whiten_rows
 from imr_torch.goodness.phases import phase_clock
+from imr_torch.html import render
 from imr_torch.material.model_belief import intervals
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
@@ -96,52 +97,11 @@ class PartsTest:
         """Whether no shift is beyond the limit."""
         return not self.compared or self.compared[-1][0] <= self.limit
 
-    def _describe_move(self, part: Part, parameter: str) -> str:
-        change = 100.0 * (part.without[parameter][1] / self.whole[parameter][1] - 1.0)
-        more = "higher" if change > 0.0 else "lower"
-        return f"without the {part.name} {parameter} would be {abs(change):.0f} % {more}"
-
-    def _describe_uncompared(self, part: Part) -> str:
-        """Which parameters were not compared and why, with those whose median leaves the interval
-        of all frames; empty where all were.
-        """
-        names = [x for x in part.without if x not in part.shifts]
-        if not names:
-            return ""
-        outside = [
-            self._describe_move(part, x)
-            for x in names
-            if not self.whole[x][0] <= part.without[x][1] <= self.whole[x][2]
-        ]
-        why = (
-            "leaving it out hardly widens intervals" if part.converged else "a fit did not converge"
-        )
-        moves = f"; {' and '.join(outside)}, outside the interval of all frames" if outside else ""
-        return f"The part '{part.name}' was not compared for {' and '.join(names)}, since {why}{moves}."
-
     def sentences(self) -> list[str]:
-        """Whether they agree, which were not compared, and what tells of each parameter."""
-        aside = [text for part in self.parts if (text := self._describe_uncompared(part))]
-        if not self.compared:
-            return [
-                "The records have no second part that tells of the gel, so parts were not compared.",
-                *aside,
-            ]
-        shift, name, parameter = self.compared[-1]
-        part = next(part for part in self.parts if part.name == name)
-        said = "The parts of the records agree" if self.agree else "Parts of the records disagree"
-        first = (
-            f"{said}: {self._describe_move(part, parameter)}, {shift:.1f} sd of such a change, and "
-            f"noise alone leaves {self.limit:.1f}."
-        )
-        told = [
-            f"{shot}: frames that tell of "
-            + ", ".join(f"{x}: {n} (most in the {phase})" for x, (n, phase) in found.items())
-            for shot, found in self.telling.items()
-        ]
-        moved = [text for text in aside if "outside the interval" in text]
-        unmoved = [text for text in aside if text not in moved]
-        return [" ".join((first, *moved)), *unmoved, *told]
+        """Whether they agree, which were not compared and why, with medians that leave the interval
+        of all frames, and what tells of each parameter.
+        """
+        return render("parts.txt", test=self).splitlines()
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready values."""

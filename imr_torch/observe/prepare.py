@@ -139,7 +139,14 @@ def prepare(
         )
         firsts[name] = first
     cautions += _find_outvoting_curve(experiments)
-    cautions += _name_unused_values(traces, landmarks, rest=rest_radius is None)
+    cautions += render(
+        "unused_radii.txt",
+        traces=traces,
+        landmarks=landmarks,
+        rest=rest_radius is None,
+        floor=FLOOR.max_radius,
+        own=("as given", "as stated"),
+    ).splitlines()
     return Prepared(
         tuple(experiments),
         landmarks,
@@ -217,41 +224,6 @@ def _collapse_frame(
     at = marks.dimensionless_time(marks.collapse_times_s[number - 1], surroundings)
     near = (whole.times - at).abs().argsort()[:2]
     return float(whole.times[near[whole.radius[0, near].argmin()]])
-
-
-def _name_unused_values(
-    traces: TraceSet, landmarks: dict[str, Landmarks], *, rest: bool
-) -> list[str]:
-    """Says which stated maximum and ``rest`` radii are not used though the record's are others, and
-    why.
-    """
-    reasons: dict[tuple[str, str], list[str]] = {}
-    for trace in traces:
-        given = trace.given
-        marks = landmarks[trace.experiment_id]
-        settled = marks.rest_method == "settled tail"
-        why = "holds a settled tail" if settled else "ends, as is stated, before the bubble settled"
-        top_sd = math.hypot(marks.max_radius_sd_m, FLOOR.max_radius * marks.max_radius_m)
-        for name, stated, found, sd, method, reason in (
-            ("Rmax", given.max_radius_m, marks.max_radius_m, top_sd, marks.max_method, "shows it"),
-            (
-                "R_inf",
-                given.rest_radius_m if rest else None,
-                marks.rest_radius_m,
-                marks.rest_radius_sd_m or 0.0,
-                marks.rest_method,
-                why,
-            ),
-        ):
-            if stated is None or found is None or method in ("as given", "as stated"):
-                continue
-            if abs(stated - found) > 2.0 * sd:
-                reasons.setdefault((name, reason), []).append(f"'{trace.experiment_id}'")
-    return [
-        f"The stated {name} of {', '.join(names)} is not used, since the record {why}. To use it, "
-        "state it as an override."
-        for (name, why), names in reasons.items()
-    ]
 
 
 def _find_outvoting_curve(experiments: Sequence[Experiment]) -> tuple[str, ...]:

@@ -216,7 +216,7 @@ def test_that_a_run_can_be_stopped_and_one_without_its_inputs_does_not_begin(app
     app.page.get_by_role("button", name="Compare two").click()
     app.page.get_by_label("Model that is compared").wait_for()
     app.page.get_by_role("button", name="Run", exact=True).click()
-    app.sees("Compare two: choose the first gel first.")
+    app.sees("Compare two: The first gel is missing.")
     assert not list(app.folder.glob("results/*_compare"))
     app.page.get_by_role("button", name="Diagnose").click()
     app.sees(re.compile(r"imr-torch diagnose files"))

@@ -59,7 +59,7 @@ def test_that_stated_radii_that_are_passed_over_are_said(largest):
     said = [c for c in prepare(TraceSet((mirrored,))).cautions if "is not used" in c]
     top = "The stated Rmax of 'ringing' is not used, since the record shows it. To use it, state it"
     assert any(top in text for text in said) == (largest != 1.0)
-    rest = "R_inf of 'ringing' is not used, since the record ends, as is stated, before"
+    rest = "R_inf of 'ringing' is not used, since it is stated that the bubble had not settled"
     assert rest in said[-1]
 
 
