@@ -262,11 +262,9 @@ def in_app_words(error: ImrError) -> str:
     >>> in_app_words(InputDataError("Write radius_unit=m into --layout."))
     'Write radius_unit=m into Layout (tab Files).'
     """
-    named = {"--layout": "Layout (tab Files)", "--medium": "the tab Medium"}
-    text = str(error)
-    for option, field in named.items():
-        text = text.replace(option, field)
-    return text
+    return (
+        str(error).replace("--layout", "Layout (tab Files)").replace("--medium", "the tab Medium")
+    )
 
 
 def check_name(name: str, size: int) -> str:
