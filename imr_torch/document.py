@@ -22,6 +22,7 @@ SCHEMA_VERSION = 1
 
 UNITS = {
     "parameters": "SI: Pa, Pa s, s; 1 where dimensionless",
+    "density, medium_*": "1, ln of the value over that in medium",
     "*_s": "s",
     "*_m": "m",
     "t_star": "1, time over Rmax/U_c with U_c = sqrt(p_inf/rho)",

@@ -94,7 +94,7 @@ def name_figure(
 
     >>> from imr_torch.drawing import name_figure, new_axes
     >>> name_figure("characterize.parameter", new_axes, name="G").caption
-    'Density of G before and after the data.'
+    'Prior and posterior of G.'
     """
     kind, key = figure.split(".")
     texts = {"name": key} | read_table("captions")[kind][key]

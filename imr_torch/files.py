@@ -249,6 +249,10 @@ def read_json(path: str | Path, *, expected: str = "expected JSON") -> Any:
     """
     try:
         return json.loads(Path(path).read_text(encoding="utf-8-sig"), object_pairs_hook=_read_once)
+    except FileNotFoundError:
+        raise InputDataError(
+            f"{path}: no such file; {expected}: check the name and the folder."
+        ) from None
     except (OSError, ValueError, RecursionError) as error:
         why = (
             "its values are nested too deep"

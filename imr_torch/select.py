@@ -248,12 +248,12 @@ class Identifiability:
 
     @property
     def words(self) -> str:
-        """A phrase such as ``"only bounded from above: below 0.07 (95 %)"``."""
+        """A phrase such as ``"only bounded from above: below 0.07 (95 %); ..."``."""
         if self.limit is None:
             return self.bound.value
         value = f"{self.parameter.display_scale * self.limit:.3g} {self.parameter.shown_unit}"
         side = "below" if self.bound is Bound.ABOVE else "above"
-        return f"{self.bound.value}: {side} {value.rstrip()} (95 %)"
+        return f"{self.bound.value}: {side} {value.rstrip()} (95 %); the other end is the prior's"
 
 
 def identifiability(
@@ -274,7 +274,7 @@ def identifiability(
     >>> mean, sds = torch.tensor([-1.6, 0.1]).double(), torch.tensor([0.6, 0.05]).double()  # G is small, mu is known
     >>> for found in identifiability(prior, prior.with_gaussian(mean, torch.diag(sds))):
     ...     print(found.parameter.name, found.words)
-    G only bounded from above: below 1.86 kPa (95 %)
+    G only bounded from above: below 1.86 kPa (95 %); the other end is the prior's
     mu bounded by the data on both sides
     """
     before, after = (part.chol @ part.chol.mT for part in (prior, posterior))

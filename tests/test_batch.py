@@ -237,6 +237,12 @@ def test_that_curves_of_a_file_are_one_shot_or_each_its_own(tmp_path, calls):
         ("gel_R1__um_", 1),
         ("gel_R2__um_", 1),
     ]
+    first = json.loads((tmp_path / "b" / "shots" / "gel_R1__um_.json").read_text())
+    command = f"diagnose {tmp_path}/gel.csv --experiments 'R1 (um)' --html diagnosis.html"
+    assert first["fit_test"]["command"] == f"imr-torch {command}"
+    failed = BatchOptions(**{**vars(OPTIONS), "collapses": 0})
+    error = characterize_shot(load_traces(tmp_path / "gel.csv"), failed)["error"]
+    assert "None of the 2 curves of the file was fitted; with --each every one is" in error
     assert each.rows[0]["G_high"] - each.rows[0]["G_low"] > 1.2 * (
         together.rows[0]["G_high"] - together.rows[0]["G_low"]
     )
@@ -294,6 +300,12 @@ def test_that_shots_whose_curves_the_model_does_not_explain_are_not_to_be_quoted
     assert is_usable(ROWS[0])
     assert not is_usable(misfit)
     summary = BatchSummary((misfit,))
+    times = ROWS[1] | {"error": "x.csv: holds collapse times and no curves"}
+    page = document_page(header("batch") | BatchSummary((misfit, times)).to_dict())
+    advice = page.partition("What to do next")[2]
+    assert "Give the 1 file(s) of collapse times to imr-torch characterize" in advice
+    assert "Look at the 1 orange shot(s)" in advice
+    assert "Correct the" not in advice
     said = "the model does not explain the curves of 1, whose numbers are not to be quoted"
     assert said in summary.report()
     page = document_page(header("batch") | summary.to_dict())

@@ -12,10 +12,11 @@ from benchmarks.interruptions import Disk
 from imr_torch.campaign import Journal
 from imr_torch.cli import COMMANDS, build_parser, main
 from imr_torch.cli.campaign_settings import settings_of
+from imr_torch.cli.characterize import choose_base
 from imr_torch.cli.common import read_options
 from imr_torch.cli.design import plan_of
 from imr_torch.float64 import arange, randn, tensor
-from imr_torch.material import PARAMETERS, wide_prior
+from imr_torch.material import PARAMETERS, Belief, wide_prior
 from imr_torch.observe import Nuisance
 from imr_torch.results import draw_figures
 from imr_torch.simulate import PolytropicSimulator, Status, explain_growth
@@ -211,6 +212,8 @@ def test_that_the_page_and_the_figures_of_a_campaign_come_from_its_json_alone(
     assert {path.stem for path in tmp_path.glob("*.png")} == names
     page = (tmp_path / "page.html").read_text()
     assert "After 1 experiment(s) NHKV has a probability of" in page
+    assert 'class="verdict">Simulated: the shots' in page
+    assert "converged (gradient" in page
     assert page.count("data:image/png;base64,") == len(names)
     assert "<script" not in page
     del document["history"][0]["belief"]
@@ -282,6 +285,8 @@ def test_a_real_campaign_asks_learns_from_told_files_and_asks_again(tmp_path, ca
     assert len(result["designs"]) == 1
     assert result["noise"]["scale"] * result["noise"]["floor"] == pytest.approx(0.003, rel=0.4)
     assert "x the published law" in second
+    assert "converged (gradient" in second
+    assert "Simulated" not in second
     low, _, high = result["intervals"]["nhkv"]["G"]
     assert low < TRUTH["G"] < high
     ending = real(tmp_path / "other", "--stop", "designs=1", "--tell", shot)
@@ -432,6 +437,12 @@ def test_that_a_reference_case_is_observed_as_published_and_a_gel_of_ones_own_as
         assert plan_of(build_parser().parse_args(["design", *gel, "--repeats", "3"])).repeats == 3
 
 
+def test_that_an_elastic_model_is_the_base_of_a_diagnosis():
+    prior = wide_prior(["nhkv", "newtonian"])
+    liquid = [0.9 if part.model == "newtonian" else 0.1 for part in prior.models]
+    assert choose_base(Belief(prior.models, tensor(liquid).log())).model == "nhkv"
+
+
 @pytest.mark.parametrize(
     ("about", "rounds"), [(["--case", "soft-pa"], 0), (["--models", "nhkv"], 2)]
 )
@@ -461,6 +472,11 @@ CURVE = "".join(f"a,{i}e-6,{(300 - 9 * i if i < 30 else 10 + i) * 1e-6}\n" for i
             ["simulate", "--set", "G=1e4,mu=0.1", "--liquid", "tait"],
             "--liquid is tait, and --radial keller_miksis is an equation in pressure; leave it out",
         ),
+        (
+            ["design", "--models", "nhkv", "--we-range", "150,600"],
+            r"--we-range: '150,600' is not LOW:HIGH, for example 0\.15:0\.25",
+        ),
+        (["design", "--belief", "none.json"], r"none\.json: no such file; expected .*folder"),
         (
             ["design", "--case", "soft-pa", "--belief", "x.json"],
             "--belief and --case both name a prior",

@@ -15,7 +15,8 @@ from imr_torch.characterization.compare import compare
 from imr_torch.characterization.saved import SavedCharacterization
 from imr_torch.cli import main
 from imr_torch.errors import InputDataError
-from imr_torch.material import Belief, wide_prior
+from imr_torch.material import Belief, TruncatedNormal, wide_prior
+from imr_torch.material.model_belief import add_parameters
 
 PRIOR = wide_prior(["nhkv"])
 TRUSTED = {"verdict": "trusted", "certificate": {"converged": True}}
@@ -138,6 +139,30 @@ def test_that_priors_that_differ_give_no_bayes_factor():
         "priors of NHKV differ"
         in compare(gel((0.3, 0.0), 0.02), gel((0.3, 0.0), 0.02, prior=moved)).reason
     )
+
+
+def infer_density(result: SavedCharacterization, sd: float) -> SavedCharacterization:
+    """The result where the density was stated with a standard deviation, and inferred."""
+    medium = {"density": TruncatedNormal(0.0, sd)}
+    beliefs = {
+        name: Belief(tuple(add_parameters(x, medium) for x in old.models), old.log_probabilities)
+        for name, old in (("belief", result.posterior), ("prior", result.prior or PRIOR))
+    }
+    document = {name: belief.to_dict() for name, belief in beliefs.items()}
+    return SavedCharacterization.from_dict(document | {"models": {"nhkv+density": TRUSTED}})
+
+
+def test_that_gels_are_compared_though_the_density_of_one_alone_is_inferred():
+    exact = gel((0.3, 0.0), 0.02)
+    inferred = infer_density(gel((0.9, 0.0), 0.02), 0.1)
+    for found in (compare(exact, inferred), compare(inferred, exact, model="nhkv")):
+        assert [p.parameter for p in found.parameters] == ["G", "mu"]
+        assert found.log_bayes_factor is None
+        assert "what is stated of the density differs" in found.reason
+        assert found.verdict == "different"
+    other = compare(inferred, infer_density(gel((0.9, 0.0), 0.02), 0.2), model="nhkv")
+    assert "what is stated of the density differs" in other.reason
+    assert compare(inferred, infer_density(gel((0.91, 0.0), 0.02), 0.1)).verdict == "same"
 
 
 def test_that_doubtful_results_are_compared_with_a_caution():

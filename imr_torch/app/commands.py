@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 from imr_torch.cli import build_parser
 from imr_torch.cli.options import COLLAPSES, COMMANDS, DEFAULT_MODELS, read_settings
+from imr_torch.errors import InputDataError
 from imr_torch.files import Document, read_table
 
 OF_THE_FOLDER = {"files", "layout", "medium", "out", "html", "mat", "resume", "workers", "cluster"}
@@ -106,6 +107,27 @@ def command_arguments(
     places = {"out": folder, "html": f"{folder}/page.html", "mat": f"{folder}/result.mat"}
     kept = [word for name in places if name in options for word in (f"--{name}", places[name])]
     return [*words, *["--resume"] * bool(values.get("continued")), *kept]
+
+
+def check_chosen(command: str, values: Document, files: Sequence[str] = ()) -> None:
+    """Raise unless everything is chosen that a command cannot run without.
+
+    Args:
+        command: one of :data:`FORMS`.
+        values: option -> its value.
+        files: what is read.
+
+    >>> from imr_torch.app.commands import check_chosen
+    >>> check_chosen("compare", {"a": "results/1/characterize.json", "b": ""})
+    Traceback (most recent call last):
+    ...
+    imr_torch.errors.InputDataError: Compare two: The second gel is missing.
+    """
+    given = values | {"files": files}
+    for name, settings in OPTIONS[command].items():
+        flag = settings["flag"]
+        if flag and not flag.startswith("--") and not given.get(name):
+            raise InputDataError(f"{FORMS[command].title}: {LABELS.get(name, name)} is missing.")
 
 
 def read_arguments(arguments: Sequence[str]) -> Document:

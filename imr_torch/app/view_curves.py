@@ -190,7 +190,9 @@ def _draw_line(key: str, value: float | None) -> Document:
     if key.endswith("_s"):
         place = {"x0": at, "x1": at, "y0": 0, "y1": 1, "yref": "paper"}
         side = "left" if key == "t_Rmax_s" else "right"  # towards the frames between the two
-        label |= {"textangle": 0, "textposition": "start", "xanchor": side}
+        # at different ends, since they may be close to one another on a narrow screen
+        end = "start" if key == "t_Rmax_s" else "end"
+        label |= {"textangle": 0, "textposition": end, "xanchor": side}
     else:
         place = {"y0": at, "y1": at, "x0": 0, "x1": 1, "xref": "paper"}
         label |= {"textposition": "end"}

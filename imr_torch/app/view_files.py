@@ -78,6 +78,8 @@ class FilesView:
                     if file.curves
                     else f"{file.shots} shot(s) of collapse times"
                 )
+                beside = (self.workspace.files_folder / file.name).with_suffix(".json")
+                held += f"; beside it {beside.name}" * beside.exists()
                 ui.label(file.problem or held).classes("problem" if file.problem else "quiet")
 
     def _draw_layout(self) -> None:
@@ -139,7 +141,7 @@ class MediumView:
                 label = f"{key.replace('_', ' ')} ({known.unit})"
                 fields[key] = (
                     ui.number(label, value=value).props("clearable").style("width: 13rem"),
-                    ui.number("sd", value=sd)
+                    ui.number("standard dev.", value=sd)
                     .props(f'clearable aria-label="sd of {label}"')
                     .style("width: 8rem"),
                 )

@@ -13,6 +13,7 @@ from imr_torch.app.commands import (
     LABELS,
     LISTS,
     OPTIONS,
+    check_chosen,
     command_arguments,
     list_defaults,
     list_more,
@@ -212,6 +213,7 @@ class RunView:
 
     def _add_run(self) -> None:
         with problems_notified():
+            check_chosen(self.kind, self.values[self.kind], self._list_read())
             place = self.values[self.kind].get("continued", "")
             self.mine.append(self.runs.add_run(self._list_arguments, self.kind, place))
             self._follow_runs()  # drawn once: a button drawn again may lose a click
@@ -219,5 +221,7 @@ class RunView:
 
     def _list_arguments(self, folder: str) -> list[str]:
         values = self.values[self.kind] | self.workspace.settings
-        files = self.workspace.list_usable() if FORMS[self.kind].reads_files else []
-        return command_arguments(self.kind, values, folder, files=files)
+        return command_arguments(self.kind, values, folder, files=self._list_read())
+
+    def _list_read(self) -> list[str]:
+        return self.workspace.list_usable() if FORMS[self.kind].reads_files else []

@@ -206,7 +206,7 @@ class Workspace:
 
     def _without_folder(self, error: ImrError) -> str:
         """A message with names relative to the folder."""
-        return str(error).replace(f"{self.folder}", "").lstrip("/\\")
+        return in_app_words(error).replace(f"{self.folder}", "").lstrip("/\\")
 
     def _load_file(self, path: Path) -> TraceSet:
         beside = path.with_suffix(".json")
@@ -252,6 +252,19 @@ class Workspace:
             InputDataError: if a value cannot be meant; nothing is written then.
         """
         state(view.trace.source, view.trace.experiment_id, values, alone=view.alone)
+
+
+def in_app_words(error: ImrError) -> str:
+    """A message, with the fields of the application in place of options of the command line.
+
+    >>> from imr_torch.app.workspace import in_app_words
+    >>> from imr_torch.errors import InputDataError
+    >>> in_app_words(InputDataError("Write radius_unit=m into --layout."))
+    'Write radius_unit=m into Layout (tab Files).'
+    """
+    return (
+        str(error).replace("--layout", "Layout (tab Files)").replace("--medium", "the tab Medium")
+    )
 
 
 def check_name(name: str, size: int) -> str:

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.gauss_newton import half_log_det
-from imr_torch.assimilate.importance import ImportanceSample, weighted_quantiles
+from imr_torch.assimilate.importance import ImportanceSample, largest_shape, weighted_quantiles
 from imr_torch.assimilate.posterior import Neighbourhood, Posterior
 from imr_torch.float64 import tensor
 from imr_torch.material import Belief, Cloud, ModelBelief
@@ -307,7 +307,13 @@ class ModelFit:
                 f"interval computation repaired: from weighted draws, {float(moved):.2f} sd from the "
                 f"Gaussian fit at most ({shape})"
             )
-        return f"intervals not reliable: quote none of this model ({shape})"
+        limit = largest_shape(len(sample))
+        why = "their moments are not yet those of the round before"
+        if sample.pareto_k > limit:
+            why = f"k is above {limit:.2f}"
+        elif not sample.reliable:
+            why = "too few are effective"
+        return f"intervals not reliable: quote none of this model ({shape}; {why})"
 
     def nuisances_at(
         self, controls: BatchControls

@@ -163,7 +163,11 @@ class ExactLearner:
             progress=progress,
         )
         result = weigh(
-            result, simulator, seed=child(observations.seed, "weigh", number), samples=self.samples
+            result,
+            simulator,
+            seed=child(observations.seed, "weigh", number),
+            samples=self.samples,
+            progress=progress,
         )
         evidence = evidences(result)
         record = {

@@ -47,6 +47,9 @@ SHOTS = "shots"
 DONE = "done"
 NOT_CONVERGED = "not converged"
 FAILED = "failed"
+_TOGETHER = (
+    " None of the {} curves of the file was fitted; with --each every one is a shot of its own."
+)
 _NOT_OF_FIT = ("layout", "sort", "each", "code")  # options that characterize does not take
 _COLUMNS = (
     "shot",
@@ -281,7 +284,8 @@ def characterize_shot(traces: TraceSet | None, options: BatchOptions) -> Documen
         json.dumps(document, allow_nan=False)  # what cannot be written is an error of this shot
         return document
     except ImrError as error:
-        return {"error": str(error)}
+        others = "" if traces is None or len(traces) == 1 else _TOGETHER.format(len(traces))
+        return {"error": f"{error}{others}"}
     except Exception as error:  # whatever a shot does, the others go on
         return {"error": in_one_line(error)}
 

@@ -7,7 +7,7 @@ where the weighted draws confirm both Gaussians.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
@@ -24,6 +24,7 @@ from imr_torch.material import ModelBelief
 from imr_torch.material.model_belief import LEVELS
 from imr_torch.population.result import DECISIVE
 from imr_torch.results import document_report
+from imr_torch.simulate.setting import OF_MEDIUM
 
 if TYPE_CHECKING:
     import pandas
@@ -154,25 +155,37 @@ def compare(
     >>> comparison.verdict, comparison.log_bayes_factor
     ('undecided', None)
     """
-    common = [key for key in a.posterior.keys if key in b.posterior.keys]
-    if not common:
+    pairs = {key: (key, key) for key in a.posterior.keys if key in b.posterior.keys}
+    if not pairs:
+        first, second = ({_drop_medium(key): key for key in x.posterior.keys} for x in (a, b))
+        pairs = {key: (first[key], second[key]) for key in first if key in second}
+    if not pairs:
         raise InputDataError(
             f"{a.source} has the models {', '.join(a.posterior.keys)} and {b.source} "
             f"{', '.join(b.posterior.keys)}; fit a model to both with --models."
         )
-    if model is not None and model not in common:
-        raise InputDataError(f"--model is {model!r}; both results have {', '.join(common)}.")
-    chosen = model or max(common, key=lambda key: a.probabilities[key] * b.probabilities[key])
-    draws = a.draws(chosen), b.draws(chosen, seed=1)
-    parameters = tuple(_compare_parameter(name, *draws) for name in a.posterior[chosen].of_gel)
-    value, reason = _log_bayes_factor(a, b, common if model is None else [chosen])
-    cautions = [text for result in (a, b) for text in list_cautions(result, chosen)]
+    asked = {key: both for key, both in pairs.items() if model in (None, key, _drop_medium(key))}
+    if not asked:
+        raise InputDataError(f"--model is {model!r}; both results have {', '.join(pairs)}.")
+    chosen = max(
+        asked, key=lambda key: a.probabilities[pairs[key][0]] * b.probabilities[pairs[key][1]]
+    )
+    of_a, of_b = pairs[chosen]
+    draws = a.draws(of_a), b.draws(of_b, seed=1)
+    parameters = tuple(_compare_parameter(name, *draws) for name in a.posterior[of_a].of_gel)
+    value, reason = _log_bayes_factor(a, b, asked)
+    cautions = [*list_cautions(a, of_a), *list_cautions(b, of_b)]
     if a.document == b.document:
         cautions.append("the two results are the same, so their data are not independent")
     misfits = tuple(result.source for result in (a, b) if result.explained is False)
     return Comparison(
         (a.source, b.source), chosen, parameters, value, reason, tuple(cautions), misfits
     )
+
+
+def _drop_medium(key: str) -> str:
+    """The key of a model without what it infers of the medium."""
+    return "+".join(part for part in key.split("+") if part not in OF_MEDIUM.values())
 
 
 def _compare_parameter(name: str, a: WeightedDraws, b: WeightedDraws) -> ParameterComparison:
@@ -201,7 +214,7 @@ def list_cautions(result: SavedCharacterization, model: str) -> list[str]:
 
 
 def _log_bayes_factor(
-    a: SavedCharacterization, b: SavedCharacterization, models: Sequence[str]
+    a: SavedCharacterization, b: SavedCharacterization, models: Mapping[str, tuple[str, str]]
 ) -> tuple[float | None, str]:
     """Log Bayes factor of one gel against two, and what it is about or why there is none.
 
@@ -211,18 +224,30 @@ def _log_bayes_factor(
     if a.prior is None or b.prior is None:
         return None, "a result does not hold its prior; characterise the gel again"
     every = len(models) > 1
-    titles = {key: a.posterior[key].material.title for key in models}
+    titles = {key: a.posterior[own].material.title for key, (own, _) in models.items()}
+    firsts, seconds = (set(keys) for keys in zip(*models.values(), strict=True))
     of_a, of_b, before, other = (
         dict(zip(belief.keys, belief.log_probabilities.tolist(), strict=True))
         for belief in (a.posterior, b.posterior, a.prior, b.prior)
     )
-    if every and not (set(a.prior.keys) == set(b.prior.keys) == set(models)):
+    if every and not (set(a.prior.keys) == firsts and set(b.prior.keys) == seconds):
         return None, "the candidate models of the two results differ; name one with --model"
-    if every and not all(math.isclose(before[key], other[key], rel_tol=1e-5) for key in models):
+    if every and not all(
+        math.isclose(before[x], other[y], rel_tol=1e-5) for x, y in models.values()
+    ):
         return None, "the prior probabilities of the models differ"
     terms = []
-    for key in models:
-        if not a.prior[key].same_as(b.prior[key]):
+    for key, (x, y) in models.items():
+        mine = a.prior[x]
+        theirs = b.prior[y]
+        first, second = (dict(zip(p.names, p.marginals, strict=True)) for p in (mine, theirs))
+        apart = [name for name in OF_MEDIUM.values() if first.get(name) != second.get(name)]
+        if apart:
+            return None, (
+                f"what is stated of the {apart[0]} differs between the two results; state it in both "
+                "with the same standard deviation (--medium density=VALUE:SD)"
+            )
+        if not mine.same_as(theirs):
             return (
                 None,
                 f"the priors of {titles[key]} differ between the two results; characterise both "
@@ -230,17 +255,17 @@ def _log_bayes_factor(
             )
         weight = 0.0
         if every:
-            weight = of_a[key] + of_b[key] - before[key]
+            weight = of_a[x] + of_b[y] - before[x]
             if weight < -30.0:  # nats; too improbable to count
                 continue
-        wrong = next((x for x in (a, b) if x.verdict(key) != "trusted"), None)
+        wrong = next((r for r, own in ((a, x), (b, y)) if r.verdict(own) != "trusted"), None)
         if wrong is not None:
             return (
                 None,
                 f"the posterior of {titles[key]} from {wrong.source} is not Gaussian by its "
                 "weighted draws",
             )
-        factor = _gaussian_factor(a.posterior[key], b.posterior[key], a.prior[key])
+        factor = _gaussian_factor(a.posterior[x], b.posterior[y], mine)
         if factor is None:
             return None, f"a posterior of {titles[key]} is hardly narrower than its prior"
         terms.append(weight + factor)

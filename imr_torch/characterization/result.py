@@ -3,6 +3,7 @@ table and a report.
 """
 
 import math
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,7 +20,8 @@ from imr_torch.document import header
 from imr_torch.files import Document, drawn_numbers, without_nonfinite, write_json
 from imr_torch.gap import MediumSensitivity
 from imr_torch.goodness import FitTest, PartsTest
-from imr_torch.material import Belief
+from imr_torch.html import render
+from imr_torch.material import PARAMETERS, Belief
 from imr_torch.material.model_belief import intervals
 from imr_torch.observe import (
     CollapseTime,
@@ -40,17 +42,7 @@ if TYPE_CHECKING:
     import pandas
 
 
-SENSITIVE = 0.3
-"""Standard deviations per doubling of a power from which on a posterior is called sensitive: where
-Kallioinen et al. (2024) draw the line, on a normal."""
-_HANGS_ON_PRIOR = {
-    True: "prior and curves disagree, and the interval hangs on both; look at the prior",
-    False: "the curves say little, and the interval is mostly that of the prior",
-}
-"""Whether the likelihood matters too -> what it means that the prior does."""
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Characterization:
     """Parameters, model probabilities and fits inferred from curves of one gel.
 
@@ -97,6 +89,8 @@ class Characterization:
     ... )
     >>> result.posterior.keys, result.assimilation.converged, len(result.evidence)
     (('nhkv',), True, 1)
+    >>> result
+    <Characterization of 1 curve(s), NHKV: G ... kPa (90 %: ...), mu ... Pa s (90 %: ...)>
     """
 
     prepared: Prepared
@@ -115,6 +109,14 @@ class Characterization:
     traces: TraceSet
     simulator: Simulator
     record: Record
+
+    def __repr__(self) -> str:
+        return render(
+            "characterization.txt",
+            found=self,
+            intervals=intervals(self.posterior.best),
+            parameters=PARAMETERS,
+        )
 
     @property
     def experiments(self) -> tuple[Experiment, ...]:
@@ -160,6 +162,7 @@ class Characterization:
         tested = self.fit_test
         shots = self.collapse_times()
         patterns = find_patterns(shots)
+        motion = self.simulator.conditions.motion
         return {
             "experiments": [
                 {
@@ -197,6 +200,9 @@ class Characterization:
             "belief": self.posterior.to_dict(),
             "weighted_draws": draws_to_dict(self.assimilation),
             "cpu_seconds": self.seconds,
+            "physics": getattr(self.simulator, "physics", None),
+            "radial": motion.key,
+            "liquid": motion.liquid.key,
         }
 
     def _document_model(self, fit: ModelFit, evidence: Evidence) -> Document:
@@ -218,11 +224,6 @@ class Characterization:
             "draws": fit.trust,
             "advice": self._advise_more_draws(fit),
             "power_sensitivities": moves,
-            "prior_sentences": [
-                f"{name}: {_HANGS_ON_PRIOR[pair[1] >= SENSITIVE]}"
-                for name, pair in moves.items()
-                if pair[0] >= SENSITIVE
-            ],
             "verdict": fit.verdict.name.lower(),
             "certificate": vars(certificate)
             | {"agreement": min(certificate.agreement, 1e300), "sentence": str(certificate)},
@@ -321,7 +322,10 @@ class Characterization:
     def to_result_document(self) -> Document:
         """:meth:`to_document` with its header."""
         files = list({trace.source: None for trace in self.traces})
-        return header("characterize", files=files, medium=self.medium) | self.to_document()
+        curve = ("--experiments", self.traces.ids[0]) if len(self.traces) == 1 else ()
+        command = shlex.join(["imr-torch", "diagnose", *files, *curve, "--html", "diagnosis.html"])
+        document = self.to_document(command)
+        return header("characterize", files=files, medium=self.medium) | document
 
     def collapse_times(self) -> list[dict[str, object]]:
         """Each shot of which the collapse time alone is known: measured and, by the most probable

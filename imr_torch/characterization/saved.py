@@ -179,13 +179,14 @@ class SavedCharacterization:
 
     def rows(self) -> list[Document]:
         """One row per model and parameter: SI quantiles, probability and certificate of the model, and
-        whether the most probable one explains the curves.
+        whether the most probable one explains the curves. A density that was inferred is
+        ``ln_density_ratio``, the logarithm of it over that of the medium.
         """
         return [
             {
                 "model": key,
                 "probability": self.probabilities[key],
-                "parameter": name,
+                "parameter": PARAMETERS[name].export_name,
                 "unit": PARAMETERS[name].unit,
                 "low": low,
                 "median": middle,

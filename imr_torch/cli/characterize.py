@@ -19,7 +19,7 @@ from imr_torch.cli.progress import characterize_stages
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.export import write_mat
 from imr_torch.files import write_bytes
-from imr_torch.material import ModelBelief
+from imr_torch.material import Belief, ModelBelief
 from imr_torch.observe import (
     CollapseShot,
     Prepared,
@@ -76,7 +76,7 @@ def run_command(args: Namespace) -> None:
         on_prepared=show_prepared,
         progress=args.terminal.plan_stages(stages),
     )
-    command = diagnose_command(args, result.posterior.best)
+    command = diagnose_command(args, choose_base(result.posterior))
     # before any figure, so that nothing is lost
     document = write_result(args, result.to_document(command, seed=args.seed))
     said = document_report(document)
@@ -133,8 +133,16 @@ def _load_data(args: Namespace) -> tuple[TraceSet, tuple[CollapseShot, ...]]:
     return chosen, tuple(shot for shot in shots if shot.experiment_id in wanted)
 
 
+def choose_base(belief: Belief) -> ModelBelief:
+    """The most probable model with elasticity, since a gel that no candidate explains is no liquid;
+    of any where none has it.
+    """
+    elastic = [part for part in belief.models if "G" in part.material.names]
+    return max(elastic or belief.models, key=lambda part: belief.probabilities[part.model])
+
+
 def diagnose_command(args: Namespace, best: ModelBelief) -> str:
-    """The command that looks for what the most probable model lacks, on the same curves."""
+    """The command that looks for what a model lacks, on the same curves."""
     parts = ["imr-torch", "diagnose", *args.files, "--base", best.material.base]
     if best.known:
         parts += ["--known", ",".join(f"{name}={value:g}" for name, value in best.known.items())]

@@ -8,6 +8,7 @@ import sys
 from argparse import Namespace
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -176,16 +177,16 @@ def parse_names(text: str, option: str) -> list[str]:
     return names
 
 
-def parse_pair(text: str, option: str) -> tuple[float, float]:
+def parse_pair(
+    text: str, option: str, form: str = "VALUE:VALUE, for example 0.2:0.1"
+) -> tuple[float, float]:
     """``"0.2:0.1"`` as two numbers."""
     try:
         first, second = (float(x) for x in text.split(":"))
         if not (math.isfinite(first) and math.isfinite(second)):
             raise ValueError("not finite")
     except ValueError:
-        raise InputDataError(
-            f"{option}: {text!r} is not VALUE:VALUE, for example 0.2:0.1."
-        ) from None
+        raise InputDataError(f"{option}: {text!r} is not {form}.") from None
     return first, second
 
 
@@ -205,7 +206,10 @@ _READ: dict[str, Callable[[str, str], Any]] = {
     "layout": lambda text, _: Layout.from_text(text),
     "driving": lambda path, _: load_driving(path),
     "rest_radius": parse_rest_radius,
-    **dict.fromkeys(("we_range", "rinf_range", "delivered"), parse_pair),
+    "delivered": parse_pair,
+    **dict.fromkeys(
+        ("we_range", "rinf_range"), partial(parse_pair, form="LOW:HIGH, for example 0.15:0.25")
+    ),
     **dict.fromkeys(("known", "set"), parse_values),
     **dict.fromkeys(
         ("models", "experiments", "exclude", "effects", "without", "heldout"), parse_names
@@ -264,7 +268,8 @@ def show_result(args: Namespace, document: Document, *, report: str = "") -> Non
         for failure in save_figures(figures, Path(args.out), progress=args.terminal):
             print(f"imr-torch: {failure}", file=sys.stderr)
     if getattr(args, "html", None):
-        write_page(document, args.html, report=report)
+        kept = args.json or (args.out and f"{args.out}/{args.command}.json")
+        write_page(document | ({"result_file": kept} if kept else {}), args.html, report=report)
 
 
 def report_result(args: Namespace, document: Document) -> None:

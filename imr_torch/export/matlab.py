@@ -43,7 +43,13 @@ def write_mat(document: Document, path: str | Path) -> None:
     chances = document["model_probabilities"]
     names: tuple[str, ...] = ("model", "name", "unit", "low", "median", "high")
     parameters: list[Document] = [
-        dict(zip(names, (key, name, PARAMETERS[name].unit, *interval), strict=True))
+        dict(
+            zip(
+                names,
+                (key, PARAMETERS[name].export_name, PARAMETERS[name].unit, *interval),
+                strict=True,
+            )
+        )
         for key, entry in document["models"].items()
         for name, interval in entry["intervals"].items()
     ]

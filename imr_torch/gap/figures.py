@@ -221,6 +221,7 @@ def plot_missing_pressure(shots: Sequence[Document], *, most: int = 3) -> Axes:
         ax.plot(t, p, color=color, lw=1.2, label=plain(shot["id"], 24))
         ax.plot(t, own, color=color, lw=0.8, ls="--")
     ax.axhline(0.0, color=DATA, lw=0.8)
+    ax.set_title(f"the first {most} of {len(shots)} shots" if len(shots) > most else "", fontsize=9)
     ax.set_yscale("symlog", linthresh=10.0)
     ax.set(xlabel="time (us)", ylabel="missing pressure (kPa)")
     add_legend(ax)

@@ -23,6 +23,7 @@ from imr_torch.assimilate.local_minimum import descend_from
 from imr_torch.float64 import linspace
 from imr_torch.goodness.linear import whiten_rows
 from imr_torch.goodness.phases import phase_clock
+from imr_torch.html import render
 from imr_torch.material.model_belief import intervals
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
@@ -47,12 +48,14 @@ class Part:
         without: parameter -> [5, 50, 95 %] of a fit to the others, SI.
         shifts: parameter -> how far its median moves, over the standard deviation that this has if
             the model is right; of those that the part tells of.
+        converged: whether the fits with and without it did; nothing is compared otherwise.
     """
 
     name: str
     frames: int
     without: Mapping[str, list[float]]
     shifts: Mapping[str, float]
+    converged: bool = True
 
 
 @dataclass(frozen=True)
@@ -95,32 +98,10 @@ class PartsTest:
         return not self.compared or self.compared[-1][0] <= self.limit
 
     def sentences(self) -> list[str]:
-        """Whether they agree, and what tells of each parameter."""
-        if not self.compared:
-            return [
-                "The records have no second part that tells of the gel, so parts were not compared."
-            ]
-        shift, name, parameter = self.compared[-1]
-        part = next(part for part in self.parts if part.name == name)
-        change = 100.0 * (part.without[parameter][1] / self.whole[parameter][1] - 1.0)
-        moved = (
-            f"without the {name} {parameter} would be {abs(change):.0f} % "
-            f"{'higher' if change > 0.0 else 'lower'}, {shift:.1f} sd of such a change, and noise "
-            f"alone leaves {self.limit:.1f}"
-        )
-        if self.agree:
-            first = f"The parts of the records agree: {moved}."
-        else:
-            first = (
-                f"Parts of the records disagree: {moved}. The model lacks something that residuals "
-                "need not show."
-            )
-        told = [
-            f"{shot}: frames that tell of "
-            + ", ".join(f"{x}: {n} (most in the {phase})" for x, (n, phase) in found.items())
-            for shot, found in self.telling.items()
-        ]
-        return [first, *told]
+        """Whether they agree, which were not compared and why, with medians that leave the interval
+        of all frames, and what tells of each parameter.
+        """
+        return render("parts.txt", test=self).splitlines()
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready values."""
@@ -191,9 +172,10 @@ def compare_parts(
         wider, start = refit_linearly(left)
         moved, without, ended = fit_frames(fit, batch, simulator, left, start=start)
         z = (moved - mean)[columns] / (wider - variance).clamp_min(1e-300).sqrt()
-        tells = (wider > widened**2 * variance) & torch.tensor(converged and ended)
+        ended = converged and ended
+        tells = (wider > widened**2 * variance) & torch.tensor(ended)
         shifts = {x: float(z[i]) for i, x in enumerate(names) if tells[i]}
-        parts.append(Part(name, int(frames.sum()), without, shifts))
+        parts.append(Part(name, int(frames.sum()), without, shifts, ended))
     influence = line.to_shift[columns, : batch.mask.numel()].square().unflatten(1, batch.mask.shape)
     telling = {
         experiment.label: {

@@ -4,7 +4,6 @@
 Prior, ensemble, posterior and model probabilities are this one object.
 """
 
-import json
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
@@ -16,7 +15,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
-from imr_torch.files import write_json
+from imr_torch.files import read_json, write_json
 from imr_torch.float64 import tensor, zeros
 from imr_torch.material.marginals import Marginal, marginal_from_dict, marginal_to_dict
 from imr_torch.material.model_belief import Cloud, ModelBelief
@@ -208,11 +207,12 @@ class Belief:
         """Read a belief that :meth:`save` wrote, or the belief in a result that the command line
         wrote as JSON.
         """
+        document = read_json(path, expected="expected a saved belief or a result")
         try:
-            document = json.loads(Path(path).read_text(encoding="utf-8"))
-            document = document.get("belief", document) if isinstance(document, dict) else document
-            return cls.from_dict(document)
-        except (OSError, ValueError, RecursionError) as error:
+            return cls.from_dict(
+                document.get("belief", document) if isinstance(document, dict) else document
+            )
+        except InputDataError as error:
             raise InputDataError(f"{path}: not a saved belief ({error}).") from None
 
 

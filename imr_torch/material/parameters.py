@@ -89,6 +89,16 @@ class Parameter:
         symbol = self.symbol or self.name
         return f"{symbol} ({self.shown_unit})" if self.shown_unit else symbol
 
+    @property
+    def export_name(self) -> str:
+        """The name in tables that leave the package, which says where values are logarithms.
+
+        >>> from imr_torch.material import PARAMETERS
+        >>> PARAMETERS["G"].export_name, PARAMETERS["density"].export_name
+        ('G', 'ln_density_ratio')
+        """
+        return f"ln_{self.name}_ratio" if self.dimension == "ratio" else self.name
+
     def interval(self, low: float, middle: float, high: float) -> str:
         """A value with its 90 % interval, SI, as text in display units.
 

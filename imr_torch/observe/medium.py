@@ -114,7 +114,8 @@ class GelMedium:
             return ""
         return (
             f"Not stated, and inferred with the gel from a wide prior: {', '.join(values)}. Measure "
-            "it and state it (--medium density=VALUE:SD): intervals become narrower."
+            "it and state it (--medium density=VALUE:SD), or name your gel if it is a known one (--medium "
+            "gelatin_10, polyacrylamide_10, ...): intervals become narrower."
         )
 
     def value(self, name: str) -> str:

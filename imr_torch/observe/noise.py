@@ -17,6 +17,7 @@ from torch import Tensor
 
 from imr_torch.errors import InputDataError
 from imr_torch.float64 import arange
+from imr_torch.html import render
 from imr_torch.types import BroadcastValues, ExperimentFrames, FrameMask, Frames, FrameValues
 
 FEWEST_RESIDUALS = 10
@@ -73,21 +74,7 @@ class Noise:
                 )
 
     def __str__(self) -> str:
-        correlated = (
-            f"correlated over {self.correlation_time:.3g} in t*"
-            if self.correlation_time
-            else "independent between frames"
-        )
-        own = self.of_frames.scale
-        published = Noise()
-        if (self.slope, self.drift) == (published.slope, published.drift):
-            grows = f"{own:.2f} x the published law"
-        else:
-            parts = ((self.slope, "|R*-1|"), (self.drift, "t*"))
-            grows = " + ".join(f"{own * size:.2g} {of}" for size, of in parts if size) or "0"
-        bends = f", {self.scale * self.kink:.2g} of the bend next to collapses" if self.kink else ""
-        law = f"{grows} with {own * self.floor:.4f} in R* everywhere{bends}, {correlated}"
-        return law if self.widened < WIDE else f"{law}; error bars widened {self.widened:.1f} times"
+        return render("noise.txt", noise=self, law=Noise(), wide=WIDE)
 
     @property
     def of_frames(self) -> "Noise":
@@ -253,12 +240,4 @@ def noise_sentences(noise: Noise, interval: Sequence[float] | None) -> list[str]
     """
     if interval is None:
         return []
-    low, middle, high = interval
-    lines = [
-        f"Noise of single frames, inferred: {middle:.2g} in R* in the median frame (90 %: "
-        f"{low:.2g} to {high:.2g})."
-    ]
-    if noise.widened >= WIDE:
-        common = "Residuals have more in common than such noise; intervals are"
-        lines.append(f"{common} {noise.widened:.2f} times as wide for it.")
-    return lines
+    return render("noise_sentences.txt", noise=noise, interval=interval, wide=WIDE).splitlines()

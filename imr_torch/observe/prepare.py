@@ -14,6 +14,7 @@ from imr_torch.html import render
 from imr_torch.observe.convert import to_experiment
 from imr_torch.observe.experiments import Experiment
 from imr_torch.observe.landmarks import Landmarks, find_landmarks
+from imr_torch.observe.nuisance import FLOOR
 from imr_torch.observe.plausibility import (
     LIMITS,
     RAYLEIGH_TIME,
@@ -138,7 +139,14 @@ def prepare(
         )
         firsts[name] = first
     cautions += _find_outvoting_curve(experiments)
-    cautions += () if rest_radius else _name_unused_rest_radii(traces, landmarks)
+    cautions += render(
+        "unused_radii.txt",
+        traces=traces,
+        landmarks=landmarks,
+        rest=rest_radius is None,
+        floor=FLOOR.max_radius,
+        own=("as given", "as stated"),
+    ).splitlines()
     return Prepared(
         tuple(experiments),
         landmarks,
@@ -216,33 +224,6 @@ def _collapse_frame(
     at = marks.dimensionless_time(marks.collapse_times_s[number - 1], surroundings)
     near = (whole.times - at).abs().argsort()[:2]
     return float(whole.times[near[whole.radius[0, near].argmin()]])
-
-
-def _name_unused_rest_radii(traces: TraceSet, landmarks: dict[str, Landmarks]) -> list[str]:
-    """Says which stated rest radii are not used though the record's is another, and why."""
-    reasons: dict[str, list[str]] = {}
-    for trace in traces:
-        stated = trace.given.rest_radius_m
-        marks = landmarks[trace.experiment_id]
-        if (
-            stated is None
-            or marks.rest_radius_m is None
-            or marks.rest_method in ("as given", "as stated")
-        ):
-            continue
-        if abs(stated - marks.rest_radius_m) > 2.0 * (marks.rest_radius_sd_m or 0.0):
-            settled = marks.rest_method == "settled tail"
-            why = (
-                "the record holds a settled tail"
-                if settled
-                else "it is stated that the bubble had not settled"
-            )
-            reasons.setdefault(why, []).append(f"'{trace.experiment_id}'")
-    return [
-        f"The stated R_inf of {', '.join(names)} is not used, since {why}. To use it, state it as "
-        "an override."
-        for why, names in reasons.items()
-    ]
 
 
 def _find_outvoting_curve(experiments: Sequence[Experiment]) -> tuple[str, ...]:

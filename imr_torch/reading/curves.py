@@ -231,7 +231,7 @@ def _check_units(content: Content, layout: Layout) -> None:
         if written[column] is not None and written[column] != unit:
             raise InputDataError(
                 f"{content.path}: column '{column}' is in {written[column]} by its header and in "
-                f"{unit} by the layout; correct the layout, or leave it out."
+                f"{unit} by the layout; correct the one that is wrong, the header in the file or the layout."
             )
 
 

@@ -23,6 +23,7 @@ from imr_torch.reading.statement import Statement
 RADIUS_RANGE_M = (1e-7, 1e-1)
 DURATION_RANGE_S = (1e-7, 1.0)
 MIN_SAMPLES = 5
+_IN_HEADER = " If the header of the file names the unit, correct it there."
 
 
 def _is_positive(value: float) -> bool:
@@ -234,7 +235,7 @@ class RadiusTrace:
                 guess = "millimetres given as metres: write radius_unit=mm"
             raise InputDataError(
                 f"{self._place_of('radius_m')} is {top:.4g} at its largest, in m; bubbles lie between "
-                f"1e-07 and 0.1 m. This looks like {guess} into --layout."
+                f"1e-07 and 0.1 m. This looks like {guess} into --layout.{_IN_HEADER}"
             )
         text = (
             "{:.4g} m, below what a camera can see (1e-07 m): set the frame to NaN if the bubble "
@@ -252,7 +253,7 @@ class RadiusTrace:
                 )
             raise InputDataError(
                 f"{self._place_of('time_s')} spans {duration:.4g} s; records last between 1e-07 and 1 "
-                f"s. This looks like {guess} into --layout."
+                f"s. This looks like {guess} into --layout.{_IN_HEADER}"
             )
 
 

@@ -77,7 +77,7 @@ def campaign_document(
             {"step": event["step"], "file": event["label"], "reason": event["reason"]}
             for event in campaign.failures
         ],
-        "fit_test": _fit_test(campaign),
+        **_describe_fit(campaign),
         "searches": [
             {"step": number} | search_document(search, outer)
             for number in range(1, campaign.told + 2)
@@ -87,17 +87,20 @@ def campaign_document(
     }
 
 
-def _fit_test(campaign: Campaign) -> Document | None:
-    """Whether the most probable model explains the curves, where the last step was made in this
-    run.
+def _describe_fit(campaign: Campaign) -> Document:
+    """Whether the fit of the most probable model has converged, its intervals are reliable, and it
+    explains the curves, where the last step was made in this run.
     """
     whole = campaign.now.assimilation
     if whole is None:
-        return None
+        return {"fit_test": None, "certificates": []}
     fit = whole[campaign.belief.best.model]
     tested = check_fit(*fit.of_curves(whole.batch), campaign.simulator)
     command = "imr-torch diagnose, or a campaign with --goal cause"
-    return tested.to_dict() | {"sentence": tested.sentence(command)}
+    return {
+        "fit_test": tested.to_dict() | {"sentence": tested.sentence(command)},
+        "certificates": [str(fit.certificate), fit.trust],
+    }
 
 
 def _without_cloud(belief: Belief) -> Document:

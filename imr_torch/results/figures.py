@@ -64,8 +64,12 @@ def draw_figures(document: Document) -> list[NamedFigure]:
         )
     try:
         note = "The model does not explain the curves: do not quote its numbers."
-        note *= is_explained(document) is False
-        return [replace(figure, note=note) for figure in _FIGURES[kind](document)]
+        figures = list(_FIGURES[kind](document))
+        if is_explained(document) is False:
+            figures = [
+                x if x.name.startswith(_WITHOUT_FIT) else replace(x, note=note) for x in figures
+            ]
+        return figures
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
         raise InputDataError(
             f"the result is not whole ({in_one_line(error)}); make it anew."
@@ -167,6 +171,9 @@ def _compared_figures(document: Document) -> Iterator[NamedFigure]:
         a, b = document["a"], document["b"]
         yield name_figure("compare.ratios", plot_ratios, document, a=a, b=b)
 
+
+_WITHOUT_FIT = ("record", "information", "sensitivity")
+"""What names of figures begin with that show no fitted model."""
 
 _FIGURES: dict[str, Callable[[Document], Iterable[NamedFigure]]] = {
     "campaign": _campaign_figures,

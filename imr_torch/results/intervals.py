@@ -153,11 +153,19 @@ def population_figure(found: Document) -> Figure:
     """
     names = list(found["parameters"])
     shots = found["shots"]
-    size = (0.9 + 2.9 * len(names), 1.6 + 0.24 * len(shots))
+    rows = -(-len(names) // 2)
+    size = (3.8 + 2.9 * (len(names) > 1), rows * (1.6 + 0.24 * len(shots)))
     figure, axes = plt.subplots(
-        1, len(names), figsize=size, sharey=True, layout="constrained", squeeze=False
+        rows,
+        min(len(names), 2),
+        figsize=size,
+        sharey=True,
+        layout="constrained",
+        squeeze=False,
     )
-    for name, ax in zip(names, axes[0], strict=True):
+    for ax in axes.flat[len(names) :]:
+        ax.remove()
+    for name, ax in zip(names, axes.flat, strict=False):
         entry = found["parameters"][name]
         scale = PARAMETERS[name].display_scale
         low, middle, high = scale * floats(entry["median"])

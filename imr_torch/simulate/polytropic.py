@@ -56,6 +56,7 @@ class PolytropicSimulator(EngineSimulator):
     engine: Engine = field(default="compiled", repr=False, compare=False)
     threads: int | None = field(default=None, repr=False, compare=False)
 
+    physics = "polytropic"
     members = 2000  # larger batches leave the cache of a processor
     member_bytes = 75_000
 

@@ -100,6 +100,7 @@ class TransportSimulator(EngineSimulator):
     engine: Engine = field(default="compiled", repr=False, compare=False)
     threads: int | None = field(default=None, repr=False, compare=False)
 
+    physics = "transport"
     members = 1000  # those that are done early are not replaced
     member_bytes = 250_000
 

@@ -164,6 +164,7 @@ def test_that_the_medium_is_stated_and_a_wrong_one_refused(app):
     app.page.get_by_label("sd of density").fill("5")
     app.page.get_by_role("button", name="State it").click()
     app.sees(re.compile(r"density 1040 \+- 5 kg/m\^3"))
+    app.page.get_by_text(re.compile(r"density is 1; expected")).wait_for(state="detached")
     settings = json.loads((app.folder / "settings.json").read_text())
     assert settings["medium"] == "density=1040:5"
 
@@ -210,8 +211,13 @@ def test_that_the_next_design_builds_on_the_result(app):
     assert len(design["evaluations"]) == 3
 
 
-def test_that_a_run_can_be_stopped(app):
+def test_that_a_run_can_be_stopped_and_one_without_its_inputs_does_not_begin(app):
     app.tab("Run")
+    app.page.get_by_role("button", name="Compare two").click()
+    app.page.get_by_label("Model that is compared").wait_for()
+    app.page.get_by_role("button", name="Run", exact=True).click()
+    app.sees("Compare two: The first gel is missing.")
+    assert not list(app.folder.glob("results/*_compare"))
     app.page.get_by_role("button", name="Diagnose").click()
     app.sees(re.compile(r"imr-torch diagnose files"))
     app.page.get_by_role("button", name="Run", exact=True).click()

@@ -18,6 +18,7 @@ from imr_torch.assimilate import (
     assimilate,
     weigh,
 )
+from imr_torch.assimilate.importance import largest_shape
 from imr_torch.assimilate.refit import find_lower_draw
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.float64 import ones
@@ -97,6 +98,7 @@ def test_that_a_gaussian_far_too_narrow_shows_a_heavy_tail(simple):
     assert once.sample.first_shape > 0.7
     assert once.verdict is Verdict.REFUSED
     assert once.trust.startswith("intervals not reliable: quote none of this model (k ")
+    assert f"; k is above {largest_shape(len(once.sample)):.2f})" in once.trust
     assert torch.equal(once.posterior.mean, narrow.fits[0].posterior.mean)
 
 

@@ -109,7 +109,7 @@ FILES = {
     "a layout against the header": (
         b"t (us),R (um)\n0,100\n1,99\n",
         Layout("R (um)", radius_unit="mm", time="t (us)", time_unit="us"),
-        r"bad\.csv: column 'R \(um\)' is in um by its header and in mm by the layout; correct the layout, or leave it out\.",
+        r"bad\.csv: column 'R \(um\)' is in um by its header and in mm by the layout; correct the one that is wrong, the header in the file or the layout\.",
     ),
     "header alone": (
         HEAD.encode(),
@@ -182,17 +182,17 @@ FILES = {
         "".join(f"{i},{254 - i}\n" for i in range(8)).encode(),
         Layout("2", radius_unit="m", time="1", time_unit="us"),
         r"bad\.csv: experiment 'bad', radius_m is 254 at its largest, in m; .*looks like micrometres given as metres: "
-        r"write radius_unit=um .*into --layout\.",
+        r"write radius_unit=um .*into --layout\. If the header .*",
     ),
     "millimetres as metres": (
         "".join(f"{i},{0.254 - i / 1000}\n" for i in range(8)).encode(),
         Layout("2", radius_unit="m", time="1", time_unit="us"),
-        r"bad\.csv: experiment 'bad', radius_m is 0\.254 at its largest, in m; .*write radius_unit=mm into --layout\.",
+        r"bad\.csv: experiment 'bad', radius_m is 0\.254 at its largest, in m; .*write radius_unit=mm into --layout\. If the header .*",
     ),
     "metres as micrometres": (
         "".join(f"{i},{2.54e-4 - i * 1e-6}\n" for i in range(8)).encode(),
         UM,
-        r"bad\.csv: experiment 'bad', radius_m is 2\.54e-10 at its largest, in m; .*write radius_unit=m into --layout\.",
+        r"bad\.csv: experiment 'bad', radius_m is 2\.54e-10 at its largest, in m; .*write radius_unit=m into --layout\. If the header of the file names the unit, correct it there\.",
     ),
     "microseconds as seconds": (
         "".join(f"{i},{254 - i}\n" for i in range(8)).encode(),
@@ -202,7 +202,7 @@ FILES = {
     "seconds as microseconds": (
         "".join(f"{i}e-6,{254 - i}\n" for i in range(8)).encode(),
         UM,
-        r"bad\.csv: experiment 'bad', time_s spans 7e-12 s; .*write time_unit=s into --layout\.",
+        r"bad\.csv: experiment 'bad', time_s spans 7e-12 s; .*write time_unit=s into --layout\. If the header .*",
     ),
     "half a separator": (
         b"-1000,-1000\n" + b"".join(b"%d,%d\n" % (i, 90 - i) for i in range(6)) + b"9,-1000\n",

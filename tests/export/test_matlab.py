@@ -38,10 +38,12 @@ def test_that_parameters_and_curves_are_struct_arrays_in_us_and_um(result, tmp_p
 
 
 def test_that_a_result_without_curves_is_written_too(tmp_path):
-    models = {"nhkv": {"intervals": {"G": [4e3, 5e3, 6e3]}}}
+    models = {"nhkv": {"intervals": {"G": [4e3, 5e3, 6e3], "density": [-0.1, 0.0, 0.1]}}}
     document = {"model_probabilities": {"nhkv": 1.0}, "models": models, "curves": []}
     write_mat(document, tmp_path / "gel.mat")
-    assert loadmat(tmp_path / "gel.mat")["curves"].size == 0
+    read = loadmat(tmp_path / "gel.mat", squeeze_me=True)
+    assert read["curves"].size == 0
+    assert read["parameters"]["name"].tolist() == ["G", "ln_density_ratio"]
 
 
 def test_that_the_shape_is_written_of_the_curves_that_have_it(result, tmp_path):

@@ -112,6 +112,21 @@ def test_that_a_record_of_one_part_is_not_compared():
     ]
 
 
+def test_that_parts_that_were_not_compared_are_said_and_moves_outside_the_interval_named():
+    whole = {"G": [7e3, 8e3, 9e3], "mu": [0.076, 0.08, 0.086]}
+    other = {"G": [8e3, 8.8e3, 9.5e3], "mu": [0.09, 0.12, 0.14]}
+    parts = Part(PARTS[1], 9, other, {}, False), Part(PARTS[2], 9, whole, {"G": 2.9})
+    head, compared = PartsTest(whole, parts, {}).sentences()
+    assert head.startswith("Parts of the records disagree: without the later cycles G")
+    assert head.endswith(
+        "The part 'first rebound' was not compared for G and mu, since a fit did not converge; "
+        "without the first rebound mu would be 50 % higher, outside the interval of all frames."
+    )
+    assert compared == (
+        "The part 'later cycles' was not compared for mu, since leaving it out hardly widens intervals."
+    )
+
+
 def test_that_the_limit_counts_how_many_shifts_are_compared():
     whole = {"G": [7e3, 8e3, 9e3]}
     parts = tuple(Part(name, 9, whole, {"G": 2.2}) for name in PARTS)

@@ -1,5 +1,7 @@
 """What is fitted of a record, by curves whose collapses are known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -44,10 +46,21 @@ def test_that_a_curve_with_most_of_the_frames_is_named():
     )
 
 
-def test_that_a_stated_rest_radius_that_is_passed_over_is_said():
-    ringing = damped("ringing", 0.1, Given(rest_radius_m=1.8 * REST, rest_settled=False))
-    (text,) = (c for c in prepare(TraceSet((ringing,))).cautions if "stated R_inf" in c)
-    assert "'ringing' is not used, since it is stated that the bubble had not settled" in text
+@pytest.mark.parametrize("largest", [1.0, 1.1])
+def test_that_stated_radii_that_are_passed_over_are_said(largest):
+    given = Given(largest * TOP, rest_radius_m=1.8 * REST, rest_settled=False)
+    ringing = damped("ringing", 0.1, given)
+    before = torch.arange(-10, 0).double() * 8e-7
+    mirrored = replace(
+        ringing,
+        time_s=torch.cat((before, ringing.time_s)),
+        radius_m=torch.cat((ringing.radius_m[1:11].flip(0), ringing.radius_m)),
+    )
+    said = [c for c in prepare(TraceSet((mirrored,))).cautions if "is not used" in c]
+    top = "The stated Rmax of 'ringing' is not used, since the record shows it. To use it, state it"
+    assert any(top in text for text in said) == (largest != 1.0)
+    rest = "R_inf of 'ringing' is not used, since it is stated that the bubble had not settled"
+    assert rest in said[-1]
 
 
 def test_that_a_record_without_rest_radius_takes_that_of_the_other_curves_widely():

@@ -108,9 +108,17 @@ def test_that_single_impossible_radii_are_lost_frames_and_many_are_refused(tmp_p
 
 def test_that_a_short_curve_is_left_out_and_the_others_stay(tmp_path):
     traces = load_traces(
-        written(tmp_path / "x.csv", HEADER + table("a") + table("short", 4) + table("b"))
+        written(
+            tmp_path / "x.csv",
+            HEADER
+            + table("a")
+            + table("short", 4)
+            + "".join(table(f"s{k}", 4) for k in range(14))
+            + table("b"),
+        )
     )
     assert traces.ids == ("a", "b")
+    assert "and 7 more record(s), 28 row(s), listed in the JSON: only 4 frame" in traces.report()
     assert traces.left_out[0].experiment_id == "short"
     assert "only 4 frame(s)" in traces.left_out[0].reason
     assert traces.left_out[0].rows == "10-13"

@@ -1,6 +1,7 @@
 """The record before any gel: pressures and what they look like, on bubbles whose answer is known."""
 
 import json
+import re
 from dataclasses import replace
 
 import matplotlib.pyplot as plt
@@ -113,6 +114,13 @@ def test_two_shots_cannot_outvote_each_other():
     told = describe_record(one_bad().traces[BAD - 1 : BAD + 1])
     assert [shot.odd for shot in told.shots] == [None, None]
     assert "Two shots cannot outvote each other" in told.sentences()[-1]
+    shots = [
+        replace(shot, cycles=tuple(replace(x, modulus=-1e3, viscosity=0.1) for x in shot.cycles))
+        for shot in told.shots
+    ]
+    text = "\n".join(replace(told, shots=tuple(shots)).sentences())
+    assert re.search(r"looks like 0\.10 \+- .* Pa s and no possible modulus \(", text)
+    assert "These values are orders of magnitude and no measurement" in text
 
 
 def test_a_shot_that_stands_out_is_named_with_what_is_odd():

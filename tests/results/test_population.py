@@ -11,6 +11,7 @@ from imr_torch.cli import main
 from imr_torch.errors import InputDataError
 from imr_torch.html import _make_environment
 from imr_torch.material import PARAMETERS
+from imr_torch.observe import Noise
 from imr_torch.population import BayesFactor
 from imr_torch.results import draw_figures
 from imr_torch.results.intervals import population_figure
@@ -53,7 +54,7 @@ def test_that_every_shot_is_drawn_twice_beside_the_median():
 
 
 def page_part(found: dict) -> str:
-    names = {"parameters": PARAMETERS, "BayesFactor": BayesFactor}
+    names = {"parameters": PARAMETERS, "BayesFactor": BayesFactor, "Noise": Noise}
     module = _make_environment().get_template("population.html").make_module(names)
     return str(module.population_part(found))
 
@@ -67,6 +68,7 @@ def test_that_the_page_states_median_scatter_and_evidence():
         "4.0 +- 0.1 nats",
     ]
     assert "Caution: mu rises." in text
+    assert f"Noise of every shot: {Noise(scale=1.2)}." in text
     first, _ = page_part(population(log_bayes_factor=BAYES | {"value": 80.0})).split("half-normal")
     assert "above 30 nats" in first
 

@@ -10,6 +10,7 @@ from imr_torch.gap import MediumSensitivity
 from imr_torch.results import document_page, document_report
 from tests.results.documents import documented, traces
 
+APART = {"parts": {"agree": False, "sentences": ["Parts of the records disagree."]}}
 MISSED = {"explained": False, "sentence": "Misfit: the model does not explain the curves."}
 
 ASSUMED = MediumSensitivity(
@@ -67,7 +68,9 @@ def population(*, verdict: str, cautions: tuple[str, ...] = ()) -> dict:
         ({"fit_test": None}, "say that it was not tested whether it explains the data"),
         ({"medium_unstated": "Not stated."}, "say that the density was not measured"),
         ({"medium_sensitivities": [ASSUMED]}, "; it holds for the assumed pressure 101 kPa."),
-        ({"fit_test": MISSED}, "Quote nothing of these curves: NHKV does not explain them"),
+        ({"physics": "polytropic"}, "say that the gas was polytropic, which biases G and mu"),
+        (APART, "say that parts of the records disagree"),
+        ({"fit_test": MISSED} | APART, "Quote nothing of these curves: NHKV does not explain them"),
         ({"converged": False}, "Quote nothing: the fit of NHKV has not converged"),
         ({"verdict": "refused"}, "Quote nothing: the computation of the intervals of NHKV is not"),
         ({"collapse_patterns": ["a pattern"]}, "Quote medians alone"),
@@ -75,6 +78,7 @@ def population(*, verdict: str, cautions: tuple[str, ...] = ()) -> dict:
             {"fit_test": MISSED, "population": population(verdict="scatter")},
             "Quote the population, since the shots differ and the model explains each by itself: median G 5 kPa",
         ),
+        ({"population": population(verdict="undecided")}, "Quote for NHKV: G "),
         (
             {
                 "fit_test": MISSED,
@@ -92,7 +96,17 @@ def test_that_the_last_sentence_says_what_to_quote(found, change, said):
     kept = {k: v for k, v in change.items() if k not in ("verdict", "converged")}
     if change.get("fit_test"):
         kept["fit_test"] = document["fit_test"] | MISSED
-    document |= kept
-    last = document_report(document).splitlines()[-1]
+    if change.get("parts"):
+        kept["parts"] = document["parts"] | change["parts"]
+    document |= {"physics": "transport"} | kept
+    first, *_, last = document_report(document).splitlines()
     assert said in last
+    undecided = change.get("population", {}).get("verdict") == "undecided"
+    assert ("differs from shot to shot, if at all, by" in document_report(document)) is undecided
+    if "parts" in change:
+        missed = "fit_test" in change
+        assert first.startswith("Misfit" if missed else "Parts of the records disagree. The model")
+    assert (
+        ("polytropic" in first) == ("polytropic" in last) == (document["physics"] == "polytropic")
+    )
     assert said in document_page(document).partition("<section>")[0]

@@ -46,7 +46,8 @@ def test_that_the_limit_is_the_quantile_of_the_posterior_in_si():
     posterior = after(-6.0, 1.5)
     (found, _) = identifiability(PRIOR, posterior)
     assert found.limit == pytest.approx(float(posterior.quantile([0.95])[0, 0]))
-    assert found.words == f"only bounded from above: below {1e-3 * found.limit:.3g} kPa (95 %)"
+    said = f"only bounded from above: below {1e-3 * found.limit:.3g} kPa (95 %)"
+    assert found.words == f"{said}; the other end is the prior's"
 
 
 def test_that_correlated_priors_and_coordinates_do_not_matter():
