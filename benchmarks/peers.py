@@ -27,7 +27,6 @@ import torch
 from scipy.integrate import solve_ivp
 from torchdiffeq import odeint
 
-from benchmarks.peer_fits import fit_example_gel
 from benchmarks.pyimr_process import (
     FULL,
     KAPPA,
@@ -64,8 +63,8 @@ from tests.conformance.imrv2 import WholeRateGilmore
 POLYTROPIC = Conditions(gas=PolytropicGas(KAPPA, "rest", vapour=False))
 FIT = {"rtol": 1e-6, "atol": 1e-8}  # what PyIMR recommends for fits
 FINE = {"rtol": 1e-11, "atol": 1e-13}
-PARTS = ("same", "cost", "explain", "fits")
-"""Are bubbles the same; what they cost; which terms differ in full physics; fits of the example gel."""
+PARTS = ("same", "cost", "explain")
+"""Are bubbles the same; what they cost; which terms differ in full physics."""
 
 
 def draw_bubbles(count: int, seed: int) -> Bubbles:
@@ -364,7 +363,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=9)
     parser.add_argument("--spectral", action="store_true", help="PyIMR's spectral grids too (slow)")
     parser.add_argument(
-        "--parts", default="same,cost,fits", help=f"of {', '.join(PARTS)} (half an hour: explain)"
+        "--parts", default="same,cost", help=f"of {', '.join(PARTS)} (half an hour: explain)"
     )
     parser.add_argument("--out", help="JSON lines; rows of other parts stay")
     args = parser.parse_args()
@@ -385,8 +384,6 @@ def main() -> None:
             rows += explain_full_physics(args.python, Path(args.env or temporary))
         if "cost" in parts:
             rows += measure_costs(peer, args.rounds, spectral=args.spectral)
-        if "fits" in parts:
-            rows += fit_example_gel(peer)
     text = "".join(json.dumps(row) + "\n" for row in rows)
     print(text, end="")
     if args.out:

@@ -5,8 +5,7 @@ Runs in PyIMR's own environment, which has neither torch nor this package, as ``
 pyimr_worker; pyimr_worker.answer_jobs()"``. A job: ``bubbles`` (R0, Req in m, G in Pa, mu in Pa s,
 each), ``material`` (a fluid with its parameters beside mu, or none for NHKV), ``times`` (s),
 ``options`` of ``pyimr.SimulationConfig`` and of ``pyimr.PhysicalParameters`` (``physics``), and
-``batch``, whether they are solved together. A job with ``bounds`` of shear modulus and viscosity is
-a fit of the first bubble to ``radius`` (m, at ``times``) with noise ``sd``, from several ``starts``.
+``batch``, whether they are solved together.
 
 Arguments of the command name terms of PyIMR (:data:`TERMS`) that are left out in this process.
 """
@@ -19,7 +18,6 @@ from typing import Any
 
 import numpy as np
 import pyimr  # pyright: ignore[reportMissingImports]
-import pyimr.inference  # pyright: ignore[reportMissingImports]
 
 PATHS = ("R0", "Req", "material.shear_modulus_pa", "material.viscosity_pa_s")
 TERMS = {
@@ -72,32 +70,6 @@ def solve_job(job: dict[str, Any]) -> np.ndarray:
     )
 
 
-def fit_job(job: dict[str, Any]) -> dict[str, list[float]]:
-    """Logarithms of shear modulus and viscosity at the best of several starts, and their standard
-    deviations by the curvature there.
-    """
-    seen = pyimr.inference.RadiusObservation(
-        np.array(job["times"]), np.array(job["radius"]), job["sd"]
-    )
-    parameters = [
-        pyimr.inference.InferenceParameter(path, low, high, "log")
-        for path, (low, high) in zip(PATHS[2:], job["bounds"], strict=True)
-    ]
-    inference = pyimr.inference.prepare_inference(
-        configuration_of(job["bubbles"][0], job), seen, parameters
-    )
-    best = inference.fit_multistart(job["starts"]).best
-    if best is None:
-        raise ValueError("no start converged")
-    slope = inference.jacobian(best.unit_parameters)
-    sds = np.sqrt(np.diag(np.linalg.inv(slope.T @ slope)))
-    widths = [np.log(high / low) for low, high in job["bounds"]]
-    return {
-        "log_values": np.log(best.physical_parameters).tolist(),
-        "log_sds": (sds * widths).tolist(),
-    }
-
-
 def answer_jobs() -> None:
     """Answer until there are no more jobs."""
     leave_out(sys.argv[1:])
@@ -105,7 +77,7 @@ def answer_jobs() -> None:
         job = json.loads(line)
         begun = time.process_time()
         try:
-            answer = fit_job(job) if "bounds" in job else {"radius": solve_job(job).tolist()}
+            answer = {"radius": solve_job(job).tolist()}
         except (pyimr.SimulationError, ValueError) as error:
             answer = {"error": str(error)[:200]}
         print(json.dumps(answer | {"cpu": time.process_time() - begun}), flush=True)

@@ -298,9 +298,9 @@ def magnify_by_size(radius: Frames, time: Frames, refraction: BroadcastValues) -
 
     >>> import torch
     >>> from imr_torch.observe.nuisance import magnify_by_size
-    >>> radius = torch.tensor([1.0, 0.5], dtype=torch.float64)
-    >>> magnify_by_size(radius, radius, 0.02).tolist()
-    [1.02, 0.505]
+    >>> radius = torch.tensor([[1.0, 0.5]], dtype=torch.float64)
+    >>> magnify_by_size(radius, radius, torch.tensor(0.02)).tolist()
+    [[1.0199999995529652, 0.5049999998882413]]
     """
     return radius * (1.0 + refraction * radius)
 
