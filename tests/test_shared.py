@@ -11,14 +11,18 @@ from scipy.stats import norm
 from torch import Tensor
 from torch.distributions import MultivariateNormal
 
-from benchmarks.laboratory import simulate_laboratory
+from imr_torch import PolytropicSimulator, characterize
+from imr_torch.assimilate import SearchOptions
 from imr_torch.characterization.saved import SavedCharacterization
 from imr_torch.characterization.shared import SharedParameter, infer_shared
 from imr_torch.cli import main
 from imr_torch.errors import InputDataError
-from imr_torch.float64 import arange, eye, tensor, zeros
-from imr_torch.material import Belief, LogNormal, Marginal, TruncatedNormal, wide_prior
+from imr_torch.float64 import arange, eye, linspace, randn, tensor, zeros
+from imr_torch.material import PARAMETERS, Belief, LogNormal, Marginal, TruncatedNormal, wide_prior
+from imr_torch.observe import RadiusTrace, TraceSet
+from imr_torch.random import generator
 from imr_torch.results import document_page, header
+from imr_torch.units import Surroundings
 
 MODEL = "nhkv+size_drag"
 FREE = TruncatedNormal(0.0, 1e7)
@@ -230,9 +234,41 @@ def test_that_a_verdict_needs_a_clear_probability():
     )
 
 
-@pytest.mark.parametrize("truth", ["one", "own", "none"])
-def test_that_simulated_laboratories_are_told_apart(truth):
-    """Polytropic bubbles; `benchmarks.laboratory` counts how often."""
-    found = simulate_laboratory(truth, 1)
+def simulate_results(drags: tuple[float, ...], number: int) -> list[SavedCharacterization]:
+    """Gels of one laboratory with given k, Pa s/m^2, each inferred alone."""
+    source = generator(number)
+    simulator = PolytropicSimulator(threads=1)
+    medium = Surroundings()
+    times = linspace(0.0, 2.6, 66)
+    results = []
+    for place, drag in enumerate(drags):
+        draw = randn(2, generator=source)
+        gel = {"G": 5e3 * math.exp(0.5 * draw[0]), "mu": 0.1 * math.exp(0.3 * draw[1])}
+        size = 150e-6 * 1.4**place
+        design = tensor([medium.weber(size), 0.2])
+        bubble = simulator(PARAMETERS.pack(gel | {"size_drag": drag}), design, times)
+        radius = size * (bubble.radius + 0.004 * randn(len(times), generator=source))
+        trace = RadiusTrace("shot", times * medium.time_scale(size), radius, f"gel {place}")
+        found = characterize(
+            TraceSet((trace,)),
+            prior=wide_prior(["nhkv", MODEL]),
+            simulator=simulator,
+            estimate_noise=False,
+            rest_radius=(0.2, 0.002),
+            medium=f"density={medium.density}",
+            options=SearchOptions(raw_samples=64, starts=2),
+            check=False,
+            seed=number,
+        )
+        results.append(SavedCharacterization.from_dict(found.to_dict(), source=f"gel {place}"))
+    return results
+
+
+@pytest.mark.parametrize(
+    ("truth", "drags"), [("one", (2e7,) * 3), ("own", (0.0, 2e7, 4e7)), ("none", (0.0,) * 3)]
+)
+def test_that_simulated_laboratories_are_told_apart(truth, drags):
+    """Polytropic bubbles."""
+    found = infer_shared(simulate_results(drags, 1), "size_drag").to_dict()
     best = max(found["probabilities"], key=found["probabilities"].__getitem__)
     assert best == truth

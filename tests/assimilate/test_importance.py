@@ -15,7 +15,6 @@ from imr_torch.assimilate.importance import (
     smooth_tail,
 )
 from imr_torch.assimilate.proposals import Kernels
-from imr_torch.characterization.result import SENSITIVE
 from imr_torch.float64 import arange, linspace, rand, randn, zeros
 from imr_torch.random import generator
 from tests.curved import mean_error, sd_error
@@ -227,4 +226,4 @@ def test_that_power_sensitivities_are_those_of_a_conjugate_posterior(datum, nois
     found = sample.power_sensitivities[:, 0].tolist()
     expected = [math.log(2.0) * by_prior, math.log(2.0) * by_data]
     assert found == pytest.approx(expected, rel=2e-2)
-    assert tuple(x >= SENSITIVE for x in found) == hangs_on
+    assert tuple(x >= 0.3 for x in found) == hangs_on
