@@ -1,7 +1,7 @@
 """The same bubbles by this package, by PyIMR 0.1.1, by torchdiffeq and by SciPy: what each costs,
 and how far apart they are.
 
-  python -m benchmarks.peers --python python3.12 [--parts same,cost] [--spectral] [--out benchmarks/records/peers.jsonl]
+  python -m benchmarks.peers --python python3.12 [--parts same,cost] [--out benchmarks/records/peers.jsonl]
 
 PyIMR gets an environment of its own (``--python`` makes it in ``--env``, a temporary folder by
 default; pip fetches it), and is left out, with the reason, where that fails. Bubbles are NHKV gels
@@ -168,7 +168,7 @@ def timed(work: Callable[[Bubbles], np.ndarray]) -> Callable[[Bubbles], tuple[np
     return measured
 
 
-def solvers_of(peer: Peer | None, *, spectral: bool) -> dict[str, tuple[Any, str, int, bool]]:
+def solvers_of(peer: Peer | None) -> dict[str, tuple[Any, str, int, bool]]:
     """Name -> what solves a list of bubbles, its physics, bubbles a call, and whether it is slow."""
     here = timed(lambda x: solve_here(PolytropicSimulator(POLYTROPIC, threads=1), x))
     full = timed(lambda x: solve_here(TransportSimulator(threads=1), x))
@@ -194,15 +194,12 @@ def solvers_of(peer: Peer | None, *, spectral: bool) -> dict[str, tuple[Any, str
         "PyIMR full FD 25 x 25, 48": (theirs(True, **grid, Nt=25, Mt=25), "full", 48, True),
         "PyIMR full FD 100 x 100, 1": (theirs(False, **grid, Nt=100, Mt=100), "full", 1, True),
     }
-    if spectral:
-        nodes = {**FULL, "thermal": "spectral", "Nt": 25, "Mt": 25}
-        found["PyIMR full spectral 25 x 25, 1"] = (theirs(False, **nodes), "full", 1, True)
     return found
 
 
-def measure_costs(peer: Peer | None, rounds: int, *, spectral: bool) -> list[dict[str, Any]]:
+def measure_costs(peer: Peer | None, rounds: int) -> list[dict[str, Any]]:
     """First call, then all in turn; the error is the largest in R* against the finest solution."""
-    solvers = solvers_of(peer, spectral=spectral)
+    solvers = solvers_of(peer)
     first = {}
     for name, (work, _, count, _) in solvers.items():
         first[name] = work(draw_bubbles(count, 1))[1]
@@ -361,7 +358,6 @@ def main() -> None:
     )
     parser.add_argument("--env", help="folder of PyIMR's environment, kept if named")
     parser.add_argument("--rounds", type=int, default=9)
-    parser.add_argument("--spectral", action="store_true", help="PyIMR's spectral grids too (slow)")
     parser.add_argument(
         "--parts", default="same,cost", help=f"of {', '.join(PARTS)} (half an hour: explain)"
     )
@@ -383,7 +379,7 @@ def main() -> None:
         if peer and "explain" in parts:
             rows += explain_full_physics(args.python, Path(args.env or temporary))
         if "cost" in parts:
-            rows += measure_costs(peer, args.rounds, spectral=args.spectral)
+            rows += measure_costs(peer, args.rounds)
     text = "".join(json.dumps(row) + "\n" for row in rows)
     print(text, end="")
     if args.out:
