@@ -20,7 +20,6 @@ from imr_torch.material import Belief
 
 EXAMPLE = example_gel()
 QUICK = ["--physics", "polytropic", "--quiet"]
-LAYOUT = "radius=R,radius_unit=um,time=t,time_unit=us"
 FIT = [*f"characterize {EXAMPLE} --models nhkv --noise published".split(), *QUICK]
 
 

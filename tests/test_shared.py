@@ -242,8 +242,7 @@ def simulate_results(drags: tuple[float, ...], number: int) -> list[SavedCharact
     times = linspace(0.0, 2.6, 66)
     results = []
     for place, drag in enumerate(drags):
-        draw = randn(2, generator=source)
-        gel = {"G": 5e3 * math.exp(0.5 * draw[0]), "mu": 0.1 * math.exp(0.3 * draw[1])}
+        gel = {"G": 5e3 * 1.3**place, "mu": 0.1 / 1.2**place}
         size = 150e-6 * 1.4**place
         design = tensor([medium.weber(size), 0.2])
         bubble = simulator(PARAMETERS.pack(gel | {"size_drag": drag}), design, times)
