@@ -78,6 +78,6 @@ assert bool(((parts[0].mean - parts[1].mean).abs() < 0.5 * sds).all())
 # - Published results divide the misfit by the number of frames, which makes intervals several times too wide
 #   (`07_is_it_calibrated.py` shows how to see that).
 #
-# Its step is also a function of plain tensors, `imr_torch.assimilate.analyse_ensemble`, for a loop of your own (page "Extend it").
+# Its step is also a function of tensors, `imr_torch.assimilate.analyse_ensemble`, for a loop of your own (page "Extend it").
 #
 # On the command line: `imr-torch characterize gel.csv --method en4dvar`, `imr-torch campaign ... --method en4dvar`.
