@@ -110,7 +110,19 @@ def analyse_ensemble(
     >>> tuple(analysis.move_members(members).shape)
     (24, 2)
     """
-    _check_sizes(ensemble, predictions, data, noise_covariance)
+    _check_vectors(ensemble, data, noise_covariance)
+    coordinates = ensemble.shape[1]
+    prior_mean, prior_covariance = prior or (None, None)
+    for name, value, shape in (
+        ("predictions", predictions, (len(ensemble), len(data))),
+        ("the mean of prior", prior_mean, (coordinates,)),
+        ("the covariance of prior", prior_covariance, (coordinates, coordinates)),
+        ("mean_prediction", mean_prediction, (len(data),)),
+        ("influence", influence, (coordinates, len(data))),
+    ):
+        if value is not None and tuple(value.shape) != shape:
+            sizes = " x ".join(map(str, shape))
+            raise ShapeError(f"{name} is {tuple(value.shape)}; expected {sizes}.")
     good = torch.isfinite(predictions).all(1)
     if int(good.sum()) < 2:
         raise InputDataError(
@@ -215,17 +227,12 @@ def _sample_covariance(ensemble: Tensor) -> Tensor:
     return torch.atleast_2d(ensemble.mT.cov())
 
 
-def _check_sizes(ensemble: Tensor, predictions: Tensor, data: Tensor, noise: Tensor) -> None:
-    """Shapes as of :func:`analyse_ensemble`, or an error that names the argument."""
+def _check_vectors(ensemble: Tensor, data: Tensor, noise: Tensor) -> None:
+    """Shapes as of :func:`analyse_ensemble`, by which those of the others are judged."""
     if ensemble.ndim != 2:
         raise ShapeError(f"ensemble is {tuple(ensemble.shape)}; expected members x coordinates.")
     if data.ndim != 1:
         raise ShapeError(f"data is {tuple(data.shape)}; expected one dimension.")
-    if tuple(predictions.shape) != (len(ensemble), len(data)):
-        raise ShapeError(
-            f"predictions is {tuple(predictions.shape)}; expected {len(ensemble)} members x "
-            f"{len(data)} data."
-        )
     if tuple(noise.shape) not in {(len(data),), (len(data), len(data))}:
         raise ShapeError(
             f"noise_covariance is {tuple(noise.shape)}; expected {len(data)} variances or a "
