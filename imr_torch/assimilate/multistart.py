@@ -72,7 +72,9 @@ class ModelSearch:
         starts = self.starts
         among = self.options.drop_behind is not None
         several = among and len(starts) > 2
-        if among and len(starts) == 2 and not self.masking:
+        if several:
+            starts = self._sift_starts()
+        elif among and len(starts) == 2 and not self.masking:
             starts = sorted(starts, key=self._cost_at)
         self._add_minimum(starts[0])
         for start in starts[1:]:
@@ -80,6 +82,20 @@ class ModelSearch:
                 self._add_minimum(self._lower_masked(start))
         if len(starts) > 1:
             self._agree_nearby()
+
+    def _sift_starts(self) -> list[Point]:
+        """The starts; of many those that a few iterations bring lowest, and where these ended."""
+        options = self.options.descent
+        if options.sifted is None or len(self.starts) <= options.sifted:
+            return self.starts
+        posterior = without_collapses(self.posterior.coarse) if self.masking else self.posterior
+        ends = [
+            descend_from(
+                posterior, start, None, gradient=options.own_steps, iterations=options.sifting
+            )
+            for start in self.starts
+        ]
+        return [end.point for end in sorted(ends, key=lambda end: end.cost)[: options.sifted]]
 
     def enter_deeper_basins(self) -> None:
         """Descend again where the nuisances of an experiment have a deeper basin at the gel found."""

@@ -41,6 +41,10 @@ class DescentOptions(CheckedOptions):
             three times is at the rounding of the cost.
         restart: distance from the lowest point at which others begin where no two ends agree.
         nearer: the same of the next, where they still do not.
+        sifted: starts of a model that are descended from, where there are more: those lowest after
+            ``sifting`` iterations from each; all where not given. With sharp data that can miss the
+            lowest minimum.
+        sifting: these iterations.
         apart: least distance between the prior draws that are started from, prior standard
             deviations.
         basin_rivals: nats between the minima of models that a deeper basin of the nuisances is not
@@ -61,6 +65,8 @@ class DescentOptions(CheckedOptions):
     failures: int = 3
     restart: float = 10.0
     nearer: float = 3.0
+    sifted: int | None = None
+    sifting: int = 6
     apart: float = 0.5
     basin_rivals: float = 200.0
     nested: float = 5.0

@@ -11,15 +11,15 @@ unknown effect of this size has been taken for the best known one (:mod:`imr_tor
 """
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import accumulate
 
-from imr_torch.assimilate import ModelFit, SearchOptions
+from imr_torch.assimilate import DescentOptions, ModelFit, SearchOptions
 from imr_torch.assimilate.slow_noise import SmoothDeviations, smooth_deviations
 from imr_torch.gap.adequacy import Adequacy
-from imr_torch.gap.fits import finish, fit_differing, fit_hypotheses, promised
+from imr_torch.gap.fits import finish, fit_differing, fit_from, fit_hypotheses, promised
 from imr_torch.gap.hypotheses import GEL_SCATTER, Hypothesis, Inquiry, in_words, laplace_evidence
 from imr_torch.gap.lookalike import Likeness, likeness
 from imr_torch.gap.verdict import CheckedEvidence, check_evidence, probabilities
@@ -35,20 +35,56 @@ _LESS = 0.7  # amplitude of a second start over that of the first, where the fir
 _BEHIND = 6.0  # nats behind the best from which on a fit is given up
 # the winner's is finished later
 _FIT = SearchOptions(starts=2, iterations=30, drop_behind=_BEHIND, basin_rounds=0)
+# wide noise does not tell the basins of nuisances apart
+_FIT_NEAR = replace(_FIT, basin_rounds=1)
 _FIT_GELS = replace(_FIT, iterations=60)
 _OF_ONE_GEL = 0.75  # share of an attribution's time until gels may differ
 
 
 @dataclass(frozen=True)
-class Attribution:
-    """Fits, evidence and probabilities of all causes.
+class Candidates:
+    """Fits of all hypotheses with one part more than another.
 
     Args:
         held: the hypothesis that every other one extends by one part.
         hypotheses: name -> hypothesis, ``held`` among them.
         fits: name of a hypothesis -> fit, ``held`` among them; one that was discarded is not
-            converged.
+            converged. Those that were not fitted are far behind.
         log_evidence: hypothesis -> nats.
+    """
+
+    held: Hypothesis
+    hypotheses: dict[str, Hypothesis]
+    fits: dict[str, ModelFit]
+    log_evidence: dict[str, float]
+
+    @property
+    def alike(self) -> dict[str, ModelFit]:
+        """Fits that let gels differ if ``held`` does, that of ``held`` among them."""
+        differ = self.held.gels_differ
+        return {n: fit for n, fit in self.fits.items() if self.hypotheses[n].gels_differ is differ}
+
+    @property
+    def explained(self) -> dict[str, float]:
+        """Hypothesis -> nats that its last part explains: its log evidence over that without it,
+        the largest first.
+
+        Of a fit that did not converge it is what was explained where it ended.
+        """
+        without = self.log_evidence[self.held.name]
+        gained = {
+            name: value - without
+            for name, value in self.log_evidence.items()
+            if name != self.held.name
+        }
+        return dict(sorted(gained.items(), key=lambda item: -item[1]))
+
+
+@dataclass(frozen=True)
+class Attribution(Candidates):
+    """Fits, evidence and probabilities of all causes.
+
+    Args:
         posterior: hypothesis -> probability, with ``"none"`` (of the parts asked about), ``"other"``
             and, where the noise was inferred, ``"slow_noise"``; those not fitted to the end are far
             behind.
@@ -60,10 +96,6 @@ class Attribution:
             no probability.
     """
 
-    held: Hypothesis
-    hypotheses: dict[str, Hypothesis]
-    fits: dict[str, ModelFit]
-    log_evidence: dict[str, float]
     posterior: dict[str, float]
     winner: Hypothesis
     left: Adequacy
@@ -104,21 +136,6 @@ class Attribution:
         return tuple(ranked[: 1 + sum(total < level for total in totals)])
 
     @property
-    def explained(self) -> dict[str, float]:
-        """Hypothesis -> nats that its last part explains: its log evidence over that without it,
-        the largest first.
-
-        Of a fit in :attr:`unconverged` it is what was explained where the fit ended.
-        """
-        without = self.log_evidence[self.held.name]
-        gained = {
-            name: value - without
-            for name, value in self.log_evidence.items()
-            if name != self.held.name
-        }
-        return dict(sorted(gained.items(), key=lambda item: -item[1]))
-
-    @property
     def unconverged(self) -> tuple[str, ...]:
         """Hypotheses whose fits did not converge."""
         return tuple(name for name, fit in self.fits.items() if not fit.certificate.converged)
@@ -136,12 +153,67 @@ class Attribution:
         )
 
 
+def fit_candidates(
+    inquiry: Inquiry,
+    null: ModelFit,
+    held: Hypothesis,
+    *,
+    starts: Mapping[str, Sequence[Sequence[float]]],
+    near: Mapping[str, ModelFit] | None = None,
+    sifted: int | None = None,
+    seed: int,
+) -> Candidates:
+    """Fit all hypotheses with one part more.
+
+    Args:
+        inquiry: base model, effects and data.
+        null: the fit of ``held``, which leaves a gap, from which the others start.
+        held: what every hypothesis has.
+        starts: effect -> values from which to start it.
+        near: hypothesis -> fit with other noise, from which it starts in place of that; the others
+            are then not fitted.
+        sifted: starts of an effect that are descended from, where it has more.
+        seed: of the fits.
+    """
+    longer = inquiry.longer(held)
+    asked = [h for h in longer.values() if near is None or h.name in near]
+    if inquiry.progress:
+        text = f"attribution: {len(asked)} hypotheses"
+        inquiry.progress(ProgressLine(text, stage="effects", part=0.0))
+    alike = [h for h in asked if h.gels_differ is held.gels_differ]
+    differing = [h for h in asked if h not in alike]
+    together = replace(inquiry, progress=within(inquiry.progress, 0.0, _OF_ONE_GEL))
+    fits = {held.name: null}
+    if near is None:
+        options = replace(_FIT, descent=DescentOptions(sifted=sifted))
+        fits |= fit_hypotheses(together, alike, null, seed=seed, starts=starts, options=options)
+    else:
+        fits |= fit_from(together, alike, near, seed=seed, options=_FIT_NEAR)
+    for hypothesis in differing:
+        if inquiry.progress:
+            text = "attribution: differences between shots"
+            inquiry.progress(ProgressLine(text, step=in_words(GEL_SCATTER), part=_OF_ONE_GEL))
+        lowest = min(fit.cost for fit in fits.values())
+        own = child(seed, "differing")
+        if near is None:
+            options = replace(_FIT_GELS, rival=lowest)
+            fit = fit_differing(inquiry, hypothesis, null, seed=own, options=options)
+            fits[hypothesis.name] = fit
+        else:
+            silent = replace(inquiry, progress=None)
+            options = replace(_FIT_NEAR, rival=lowest)
+            fits |= fit_from(silent, [hypothesis], near, seed=own, options=options)
+    hypotheses = {h.name: h for h in (held, *longer.values())}
+    return Candidates(held, hypotheses, fits, {n: laplace_evidence(f) for n, f in fits.items()})
+
+
 def attribute(
     inquiry: Inquiry,
     null: ModelFit,
     held: Hypothesis,
     *,
     before: Adequacy,
+    near: Mapping[str, ModelFit] | None = None,
     seed: int,
     masked: float = 1.0,
 ) -> Attribution:
@@ -152,33 +224,13 @@ def attribute(
         null: the fit of ``held``, which leaves a gap, from which the others start.
         held: what every hypothesis has.
         before: the gap test at ``null``.
+        near: hypotheses with fits from which they start, as of :func:`fit_candidates`.
         seed: of the fits and of the adequacy test.
         masked: beside a selected part, the chance that this alone did not explain an unknown
             effect.
     """
-    longer = inquiry.longer(held)
-    if inquiry.progress:
-        text = f"attribution: {len(longer)} hypotheses"
-        inquiry.progress(ProgressLine(text, stage="effects", part=0.0))
-    differing = longer.pop(GEL_SCATTER, None)
-    together = replace(inquiry, progress=within(inquiry.progress, 0.0, _OF_ONE_GEL))
-    fits = {held.name: null} | fit_hypotheses(
-        together, list(longer.values()), null, seed=seed, starts=before.starts, options=_FIT
-    )
-    if differing is not None:
-        if inquiry.progress:
-            text = "attribution: differences between shots"
-            inquiry.progress(ProgressLine(text, step=in_words(GEL_SCATTER), part=_OF_ONE_GEL))
-        lowest = min(fit.cost for fit in fits.values())
-        fits[differing.name] = fit_differing(
-            inquiry,
-            differing,
-            null,
-            seed=child(seed, "differing"),
-            options=replace(_FIT_GELS, rival=lowest),
-        )
-    evidence = {name: laplace_evidence(fit) for name, fit in fits.items()}
-    return _conclude(inquiry, held, before, fits, evidence, masked=masked, seed=seed)
+    found = fit_candidates(inquiry, null, held, starts=before.starts, near=near, seed=seed)
+    return _conclude(inquiry, found, before, masked=masked, seed=seed)
 
 
 def reconsider(
@@ -226,26 +278,23 @@ def reconsider(
         return found
     fits = found.fits | {alone.name: fit}
     logs = found.log_evidence | {alone.name: evidence}
-    return _conclude(inquiry, found.held, before, fits, logs, masked=1.0, seed=seed)
+    both = Candidates(found.held, found.hypotheses | {alone.name: alone}, fits, logs)
+    return _conclude(inquiry, both, before, masked=1.0, seed=seed)
 
 
 def _conclude(
-    inquiry: Inquiry,
-    held: Hypothesis,
-    before: Adequacy,
-    fits: dict[str, ModelFit],
-    evidence: dict[str, float],
-    *,
-    masked: float,
-    seed: int,
+    inquiry: Inquiry, found: Candidates, before: Adequacy, *, masked: float, seed: int
 ) -> Attribution:
     """What the evidence of the fits, which are brought up to date, and the winner's adequacy say."""
-    hypotheses = {h.name: h for h in (held, *inquiry.longer(held).values())}
+    held = found.held
+    hypotheses = found.hypotheses
+    fits = dict(found.fits)
+    evidence = dict(found.log_evidence)
     batch = held.seen(inquiry.batch)
     left_out: list[str] = []
     find_winner = partial(_find_winner, inquiry, held, hypotheses, fits, evidence, left_out)
     leader = find_winner((), seed)
-    alike = {n: x for n, x in evidence.items() if hypotheses[n].gels_differ is held.gels_differ}
+    alike = {n: x for n, x in evidence.items() if n in found.alike}
     own = child(seed, "evidence")
     checked = check_evidence(fits, alike, batch, inquiry.simulator, seed=own)
     if checked and all(found.reliable for found in checked.values()):

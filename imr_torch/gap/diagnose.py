@@ -16,7 +16,8 @@ from imr_torch.errors import InputDataError
 from imr_torch.gap.adequacy import Adequacy
 from imr_torch.gap.fits import fit_alone, fit_null
 from imr_torch.gap.hypotheses import Hypothesis, Inquiry, may_differ
-from imr_torch.gap.selection import Finding, WithinMisfit, fit_with_noise, select_causes
+from imr_torch.gap.selection import Finding, select_causes
+from imr_torch.gap.within_misfit import WithinMisfit, fit_with_noise
 from imr_torch.goodness.score import GapTest
 from imr_torch.labels import p_value
 from imr_torch.material import LIBRARY, Effect, ModelBelief, library, wide_prior

@@ -35,7 +35,7 @@ LEADING = 6
 """Fits of an attribution that get a second start by the simulator's own bubbles."""
 _MANY = 6  # starts where fewer disagree
 _AGAIN = 3  # starts beside a fit whose own disagree
-_ROUGHLY = 0.03  # gradient at which a fit by coarse bubbles ends
+_ROUGHLY = 0.1  # gradient at which a fit by coarse bubbles ends
 # chi squared per degree of freedom of a fit whose collapses may lie on the wrong side of a frame
 _FAR = 1.5
 _TOO_COARSE = 200.0  # nats of error of the cost beyond which coarse bubbles lead nowhere
@@ -151,6 +151,44 @@ def fit_hypotheses(
         masked = search(options=again, progress=report)
         found = [lower(*pair, options) for pair in zip(found, masked, strict=True)]
     return {h.name: fit for h, fit in zip(hypotheses, found, strict=True)}
+
+
+def fit_from(
+    inquiry: Inquiry,
+    hypotheses: Sequence[Hypothesis],
+    near: Mapping[str, ModelFit],
+    *,
+    seed: int,
+    options: SearchOptions,
+) -> dict[str, ModelFit]:
+    """Fit hypotheses that have the same nuisances from earlier fits with other noise.
+
+    Args:
+        inquiry: the data and what makes the bubbles.
+        hypotheses: what to fit.
+        near: name of the hypothesis -> fit; starts are that and points beside it.
+        seed: of the search.
+        options: how to search.
+
+    Returns:
+        Name of the hypothesis -> fit, whose certificate the caller must check.
+    """
+    if not hypotheses:
+        return {}
+    batch = hypotheses[0].seen(inquiry.batch)
+    known = tuple(near[h.name] for h in hypotheses)
+    belief = even_belief(fit.prior for fit in known)
+    found = assimilate(
+        belief,
+        batch,
+        inquiry.simulator,
+        near=Assimilation(belief, batch, known),
+        seed=seed,
+        options=options,
+        warn=False,
+        progress=inquiry.progress,
+    )
+    return {h.name: fit for h, fit in zip(hypotheses, found.fits, strict=True)}
 
 
 def deviating(fit: ModelFit, hypothesis: Hypothesis) -> Tensor:

@@ -22,10 +22,10 @@ from imr_torch.assimilate.basins import deeper_nuisances
 from imr_torch.assimilate.map_fit import assimilate_model
 from imr_torch.assimilate.slow_noise import BesideSlowNoise
 from imr_torch.float64 import eye, randn, zeros
-from imr_torch.gap.attribute import Attribution
+from imr_torch.gap.attribute import Candidates
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.hypotheses import EXPLAINS, GEL_SCATTER, Hypothesis, laplace_evidence
-from imr_torch.gap.selection import evidence_beside_slow
+from imr_torch.gap.within_misfit import evidence_beside_slow
 from imr_torch.goodness.linear import Linearisation, linearise_fit, whiten_rows
 from imr_torch.goodness.phases import PHASES, noise_shares, phase_clock, phase_numbers
 from imr_torch.observe import NUISANCES, ExperimentBatch
@@ -279,7 +279,7 @@ class _Fold:
         return held, fits[held.name], base, fits[base.name]
 
     def _add_part(
-        self, step: Attribution, fits: dict[str, ModelFit], *, slow: bool
+        self, step: Candidates, fits: dict[str, ModelFit], *, slow: bool
     ) -> Hypothesis | None:
         """What a step selects, beside slow noise or by the noise of the training; None where
         nothing explains enough. Its fits are added to those given.

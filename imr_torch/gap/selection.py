@@ -5,64 +5,35 @@ those held, until an unknown effect is improbable; the verdict is the set of cau
 expected loss (:mod:`imr_torch.gap.verdict`), "other" where an unknown effect stays more probable
 than not, and undecided where a fit that it rests on has not converged.
 
-Beside "other" stands what comes nearest. With the camera's own noise that would be what passes
-nearest to a few frames next to a collapse, at any strength; so, where the noise was inferred, it is
-selected beside slow noise of each shot's own, of an amount that is as unknown beside each part.
+Beside "other" stands what comes nearest (:mod:`imr_torch.gap.within_misfit`). A large gap is looked
+at that way first: with the camera's own noise each frame next to a collapse makes a local minimum,
+while fits with noise of the size of what is left have few, and lead the others to theirs.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from operator import itemgetter
 
-import torch
-
-from imr_torch.assimilate import ModelFit, infer_frame_noise
-from imr_torch.assimilate.slow_noise import BesideSlowNoise
+from imr_torch.assimilate import ModelFit
 from imr_torch.gap.adequacy import Adequacy
 from imr_torch.gap.attribute import Attribution, attribute, reconsider
-from imr_torch.gap.fits import finish, fit_null
+from imr_torch.gap.fits import finish
 from imr_torch.gap.hypotheses import EXPLAINS, Hypothesis, Inquiry, in_words, laplace_evidence
 from imr_torch.gap.verdict import MEMBER, NONE, OTHER, SLOW_NOISE, Choice, choose
+from imr_torch.gap.within_misfit import (
+    LED,
+    KnownPath,
+    MisfitSelection,
+    WithinMisfit,
+    report_selection,
+)
 from imr_torch.labels import p_value
-from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
-from imr_torch.simulate import Simulator
-from imr_torch.types import ProgressLine, within
 
 _NO_GAP = 0.5  # probability of the base model alone from which on there is no gap
 # probability of an unknown effect from which on the verdict is "other", once further effects were
 # tried
 _UNKNOWN = 0.5
-_AHEAD = 8  # hypotheses whose most probable points beside slow noise are found
 _LARGE_GAP = 1e-6  # p-value below which the verdict was "other" in 13 of 13 measured sets
-_SELECTIONS = 5  # that such a gap takes: of causes, of what is nearest, of causes with new noise
-_NOISE_ROUNDS = 2  # times that the noise is inferred about a fit, and the fit made with it
-_CAUSE = "cause"
-_NEAREST = "no effect is enough, nearest cause"
-_AGAIN = "with new noise, cause"
-
-
-@dataclass(frozen=True)
-class WithinMisfit:
-    """Fits with noise of the size of what is left, where no model is enough.
-
-    Args:
-        own: the base model's fit with noise of the size of what it leaves itself, and the data
-            with that noise.
-        batch: the data with noise of the size of what is left beside the selected parts.
-        null: the base model's fit with that noise.
-        left: the gap test there.
-        steps: attributions in the order of the selection, each hypothesis with the fit that
-            explains more beside slow noise: that with noise of the size of what is left, or that
-            with the camera's.
-    """
-
-    own: tuple[ModelFit, ExperimentBatch]
-    batch: ExperimentBatch
-    null: ModelFit
-    left: Adequacy
-    steps: tuple[Attribution, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -109,147 +80,54 @@ def select_causes(
     """Forward selection of parts until an unknown effect is improbable, and the verdict that
     follows.
 
-    Each round adds the part of largest evidence beside those held. A first part that the second
-    does not need is dropped. Where an unknown effect stays more probable than not, the verdict is
-    "other", or undecided where the last fit has not nearly converged.
+    Each round adds the part of largest evidence beside those held, or, of a large gap, what is
+    nearest. A first part that the second does not need is dropped. Where an unknown effect stays
+    more probable than not, the verdict is "other", or undecided where the last fit has not nearly
+    converged.
 
     Args:
         inquiry: base model, effects and data.
         null: the base model's fit.
         left: the gap test there.
-        nearest: an earlier verdict "other", whose parts are tried again from their fit: with little
-            noise a search may end where collapses lie on the wrong side of frames.
+        nearest: an earlier verdict "other", with other noise; its parts are those that are tried.
         seed: of every random number.
     """
-    finding = _select_until_adequate(inquiry, null, left, nearest=nearest, seed=seed)
     laws = inquiry.batch.noise_laws
-    if finding.verdict != OTHER or laws is None or not laws.of_residuals:
+    inferred = laws is not None and laws.of_residuals
+    if nearest is not None and nearest.within_misfit is not None:
+        steps = nearest.within_misfit.steps
+        finding = _select_until_adequate(
+            inquiry, null, left, lead=KnownPath(inquiry, steps), seed=seed
+        )
+        if finding.verdict != OTHER:
+            return finding
+        return replace(
+            finding,
+            selected=nearest.selected,
+            selected_fit=nearest.selected_fit,
+            within_misfit=nearest.within_misfit,
+            reason=nearest.reason,
+        )
+    lead = None
+    if inferred and left.test.p_value < _LARGE_GAP:
+        lead = MisfitSelection.begin(inquiry, null, seed=seed)
+    finding = _select_until_adequate(inquiry, null, left, lead=lead, seed=seed)
+    if finding.verdict != OTHER or not inferred:
         return finding
-    if nearest is None:
-        nearest = _select_within_misfit(inquiry, finding, null, left, seed=seed)
+    lead = lead or MisfitSelection.begin(inquiry, null, before=len(finding.steps), seed=seed)
+    while not lead.ended:
+        held = lead.held.name
+        lead.extend([step for step in finding.steps if step.held.name == held])
+    parts = " and ".join(map(in_words, lead.held.parts))
+    explained = f"some of it goes with {parts}" if parts else "none explains any of it"
     return replace(
         finding,
-        selected=nearest.selected,
-        selected_fit=nearest.selected_fit,
-        within_misfit=nearest.within_misfit,
-        reason=nearest.reason,
-    )
-
-
-def _select_within_misfit(
-    inquiry: Inquiry, finding: Finding, null: ModelFit, gap: Adequacy, *, seed: int
-) -> Finding:
-    """The verdict "other" with the parts that explain much even if all that is left counts as
-    noise: slow noise of each shot's own, or else larger noise in all frames alike.
-    """
-    held = Hypothesis(inquiry.base)
-    fit, widened = fit_with_noise(inquiry, held, null, of_misfit=True, seed=child(seed, "misfit"))
-    without = fit, widened.batch
-    left = widened.test(fit, held, seed=seed)
-    steps: list[Attribution] = []
-    while len(held.parts) < inquiry.most and inquiry.longer(held):
-        own = child(seed, "misfit", len(held.parts))
-        number = len(finding.steps) + len(steps)
-        counted = _count_selection(widened, held, _NEAREST, number, gap)
-        found = attribute(counted, fit, held, before=left, seed=own)
-        beside = [step for step in finding.steps if step.held.name == held.name]
-        step, explained = weigh_beside_slow([found, *beside], inquiry.batch, inquiry.simulator)
-        steps.append(step)
-        name, nats = max(explained.items(), key=itemgetter(1), default=("", 0.0))
-        if nats < EXPLAINS:
-            name = found.winner.name
-            if found.explained[name] < EXPLAINS:
-                break
-        held = step.hypotheses[name]
-        fit, widened = fit_with_noise(inquiry, held, step.fits[name], of_misfit=True, seed=own)
-        left = widened.test(fit, held, seed=own)
-    base, _ = without
-    if held.parts:
-        near = steps[0].fits[NONE]
-        base = fit_null(replace(widened, progress=None), seed=seed, near=near)
-        left = widened.test(base, Hypothesis(inquiry.base), seed=seed)
-    nearest = " and ".join(map(in_words, held.parts))
-    explained = f"some of it goes with {nearest}" if nearest else "none explains any of it"
-    return replace(
-        finding,
-        selected=held,
-        selected_fit=fit,
-        within_misfit=WithinMisfit(without, widened.batch, base, left, tuple(steps)),
+        selected=lead.held,
+        selected_fit=lead.fit,
+        within_misfit=lead.conclude(),
         reason="No effect of the library is enough; where all that is left counts as noise, "
         f"{explained}.",
     )
-
-
-def weigh_beside_slow(
-    steps: Sequence[Attribution], batch: ExperimentBatch, simulator: Simulator
-) -> tuple[Attribution, dict[str, float]]:
-    """Attributions beside one held hypothesis as one, with the fits that explain more beside slow
-    noise of each shot's own, and the nats that the last part of each hypothesis explains there.
-
-    Fits from several noise laws are tried, since each is where another noise led; of the hypotheses
-    that are ahead to first order about them, the most probable points beside slow noise count.
-    That gels differ between shots is left out: it is of each shot's own, as the deviations are.
-
-    Args:
-        steps: the attributions; hypotheses are those of the first.
-        batch: the data, with the noise of single frames.
-        simulator: makes the bubbles.
-    """
-    held = steps[0].held.name
-    tried = dict[str, list[tuple[float, ModelFit]]]()
-    for step in steps:
-        for name, fit in step.fits.items():
-            hypothesis = step.hypotheses[name]
-            if hypothesis.gels_differ is step.held.gels_differ:
-                value = evidence_beside_slow(fit, hypothesis.seen(batch), simulator, steps=0)
-                tried.setdefault(name, []).append((value, fit))
-    ranked = sorted(tried, key=lambda name: max(value for value, _ in tried[name]), reverse=True)
-    fits = dict[str, ModelFit]()
-    evidence = dict[str, float]()
-    for name in dict.fromkeys((held, *ranked[:_AHEAD])):
-        seen = steps[0].hypotheses[name].seen(batch)
-        again = [(evidence_beside_slow(fit, seen, simulator), fit) for _, fit in tried[name]]
-        evidence[name], fits[name] = max(again, key=itemgetter(0))
-    explained = {n: value - evidence[held] for n, value in evidence.items() if n != held}
-    return replace(steps[0], fits=steps[0].fits | fits), explained
-
-
-def evidence_beside_slow(
-    fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, steps: int = 6
-) -> float:
-    """Log evidence of a hypothesis beside slow noise of each shot's own, after so many steps from a
-    fit to the most probable point there; -inf where the fit has no prediction.
-    """
-    near = fit.linearise(batch, simulator)
-    if not bool(torch.isfinite(near.centre[batch.mask]).all()):
-        return -math.inf
-    return BesideSlowNoise.at_mode(near, steps=steps).log_evidence
-
-
-def fit_with_noise(
-    inquiry: Inquiry,
-    held: Hypothesis,
-    fit: ModelFit,
-    *,
-    of_misfit: bool = False,
-    seed: int,
-) -> tuple[ModelFit, Inquiry]:
-    """The fit of a hypothesis under the noise that is inferred about it, and the inquiry with that
-    noise: of single frames, or of all that the fit leaves.
-    """
-    for number in range(_NOISE_ROUNDS):
-        seen = held.seen(inquiry.batch)
-        noise = infer_frame_noise(fit.linearise(seen, inquiry.simulator))
-        if of_misfit:  # enlarged only at last: a fit by wide noise leaves more
-            noise = noise.for_fits(widen=number + 1 == _NOISE_ROUNDS)
-        inquiry = replace(inquiry, batch=noise.applied(inquiry.batch))
-        if inquiry.progress:
-            inquiry.progress(ProgressLine(f"noise {inquiry.batch.noise}", step="noise"))
-        if held.parts:
-            fit = finish(inquiry, fit, held, seed=child(seed, number))
-        else:
-            fit = fit_null(inquiry, seed=child(seed, number), near=fit)
-    return fit, inquiry
 
 
 def _select_until_adequate(
@@ -257,9 +135,12 @@ def _select_until_adequate(
     null: ModelFit,
     left: Adequacy,
     *,
-    nearest: Finding | None,
+    lead: MisfitSelection | KnownPath | None,
     seed: int,
 ) -> Finding:
+    """The selection with the noise of single frames; with a lead of the hypotheses that are ahead
+    with noise of the size of what is left, from the fits with that.
+    """
     held = Hypothesis(inquiry.base)
     fit = null
     before = left
@@ -267,16 +148,13 @@ def _select_until_adequate(
     steps: tuple[Attribution, ...] = ()
     while len(held.parts) < inquiry.most and inquiry.longer(held):
         own = child(seed, "attribute", len(held.parts))
-        what = _CAUSE if nearest is None else _AGAIN
-        number = len(steps) + (0 if nearest is None else _count_steps(nearest))
-        counted = _count_selection(inquiry, held, what, number, left)
-        found = attribute(counted, fit, held, before=before, seed=own, masked=masked)
-        if nearest is not None and not held.parts:
-            for part in nearest.selected.parts:
-                own = child(seed, part)
-                found = reconsider(
-                    inquiry, found, part, nearest.selected_fit, before=left, seed=own
-                )
+        begin = float(len(held.parts)) if lead is None else lead.place_led()
+        near = lead and lead.fits_ahead()
+        length = LED if lead else 1.0
+        counted = report_selection(
+            inquiry, held, "cause", begin, length=length, led=lead is not None
+        )
+        found = attribute(counted, fit, held, before=before, near=near, seed=own, masked=masked)
         if held.parts and found.explained[found.winner.name] < EXPLAINS:
             break
         choice = choose(found.posterior)
@@ -292,43 +170,27 @@ def _select_until_adequate(
         if _is_slow_noise(found):
             p = found.adequacy.p_value
             return Finding(OTHER, (), "", held, fit, steps[0], p, choice, steps)
-        held = found.winner
-        fit = found.winner_fit
-        named = _with_one_part(inquiry, left, steps, seed)
+        # a lead has fitted every part alone, where it is seen
+        named = None if lead else _with_one_part(inquiry, left, steps, seed)
         if named is None and found.posterior[OTHER] <= _UNKNOWN:
             named = name_causes(found, choice)
         if named is not None:
             return replace(named, steps=steps)
+        held = found.winner
+        fit = found.winner_fit
         before = found.left
         masked = masked * (1.0 - found.likeness.chance)
-    return replace(_conclude_other(null, left, held, fit, steps), steps=steps)
-
-
-def _count_steps(found: Finding) -> int:
-    """Selections that led to a finding."""
-    return len(found.steps) + (len(found.within_misfit.steps) if found.within_misfit else 0)
-
-
-def _count_selection(
-    inquiry: Inquiry, held: Hypothesis, what: str, number: int, left: Adequacy
-) -> Inquiry:
-    """An inquiry that reports one selection, after a number of others and with more of them
-    expected.
-
-    Args:
-        inquiry: base model, effects and data.
-        held: what was selected.
-        what: a selection is of.
-        number: of selections before.
-        left: the gap test at the base model's fit.
-    """
-    laws = inquiry.batch.noise_laws
-    large = laws is not None and laws.of_residuals and left.test.p_value < _LARGE_GAP
-    expected = max(number + 1, _SELECTIONS if large else 1)
-    name = f"{what} {len(held.parts) + 1} of at most {inquiry.most}"
-    parts = (number / expected, (number + 1) / expected)
-    report = within(inquiry.progress, *parts, name=name, size=expected)
-    return replace(inquiry, progress=report)
+        if lead is not None:
+            lead.extend([found])
+            if lead.ended:
+                break
+            if lead.held.name != held.name:
+                held = lead.held
+                fit = found.fits[held.name]
+                if not fit.certificate.usable:
+                    fit = finish(inquiry, fit, held, seed=own)
+                before = inquiry.test(fit, held, seed=own)
+    return replace(_conclude_other(null, left, steps), steps=steps)
 
 
 def _with_one_part(
@@ -353,14 +215,10 @@ def _with_one_part(
     return name_causes(alone, choice)
 
 
-def _conclude_other(
-    null: ModelFit,
-    left: Adequacy,
-    held: Hypothesis,
-    fit: ModelFit,
-    steps: Sequence[Attribution],
-) -> Finding:
+def _conclude_other(null: ModelFit, left: Adequacy, steps: Sequence[Attribution]) -> Finding:
     """The verdict where an unknown effect stays more probable than not."""
+    held = steps[-1].winner
+    fit = steps[-1].winner_fit
     test = steps[-1].adequacy
     nearest = " and ".join(map(in_words, held.parts))
     explained = laplace_evidence(fit) - laplace_evidence(null)

@@ -11,7 +11,7 @@ import torch
 from imr_torch.float64 import randn, tensor
 from imr_torch.gap import GapReport, diagnose, library, to_json
 from imr_torch.gap.hypotheses import EXPLAINS
-from imr_torch.gap.selection import weigh_beside_slow
+from imr_torch.gap.within_misfit import weigh_beside_slow
 from imr_torch.gap.shrinkage import shrinkage
 from imr_torch.material.model_belief import intervals
 from imr_torch.observe import Experiment, Noise

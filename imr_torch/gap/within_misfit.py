@@ -1,0 +1,316 @@
+"""What comes nearest where no model is enough: parts that explain much even if all that is left
+counts as noise.
+
+With the camera's own noise that would be what passes nearest to a few frames next to a collapse, at
+any strength. So hypotheses are fitted with noise of the size of what the base model leaves, and
+selected beside slow noise of each shot's own, of an amount that is as unknown beside each part. Such
+fits also lead those with the camera's noise: what explains the curves within that is among what
+explains most within more, and its fit begins on the right side of frames next to collapses.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from operator import itemgetter
+
+import torch
+
+from imr_torch.assimilate import ModelFit, infer_frame_noise
+from imr_torch.assimilate.slow_noise import BesideSlowNoise
+from imr_torch.gap.adequacy import Adequacy
+from imr_torch.gap.attribute import Candidates, fit_candidates
+from imr_torch.gap.fits import finish, fit_null
+from imr_torch.gap.hypotheses import EXPLAINS, Hypothesis, Inquiry
+from imr_torch.gap.verdict import NONE
+from imr_torch.observe import ExperimentBatch
+from imr_torch.random import child
+from imr_torch.simulate import Simulator
+from imr_torch.types import ProgressLine, within
+
+LED = 0.4
+"""Time of a selection that is led, over that of one that is not."""
+
+_AHEAD = 8  # hypotheses whose most probable points beside slow noise are found, or that are led
+_SIFTED = 5  # starts of an effect; minima that noise of this size leaves are of about one depth
+_NOISE_ROUNDS = 2  # times that the noise is inferred about a fit, and the fit made with it
+
+
+@dataclass(frozen=True)
+class WithinMisfit:
+    """Fits with noise of the size of what is left, where no model is enough.
+
+    Args:
+        own: the base model's fit with noise of the size of what it leaves itself, and the data
+            with that noise.
+        batch: the data with noise of the size of what is left beside the selected parts.
+        null: the base model's fit with that noise.
+        left: the gap test there.
+        steps: attributions in the order of the selection, each hypothesis with the fit that
+            explains more beside slow noise: that with noise of the size of what is left, or that
+            with the camera's.
+    """
+
+    own: tuple[ModelFit, ExperimentBatch]
+    batch: ExperimentBatch
+    null: ModelFit
+    left: Adequacy
+    steps: tuple[Candidates, ...] = ()
+
+
+@dataclass
+class MisfitSelection:
+    """A selection with noise of the size of what is left, one part after the other.
+
+    Args:
+        inquiry: base model, effects and data, with the noise of single frames.
+        widened: the same with noise of the size of what is left.
+        held: what was selected.
+        fit: its fit with that noise.
+        left: the gap test there.
+        own: the first of these fits, with its data.
+        seed: of every random number.
+        before: selections that were made before it, where it leads none.
+        steps: attributions so far.
+        ended: whether nothing more explains enough, or no more is asked for.
+    """
+
+    inquiry: Inquiry
+    widened: Inquiry
+    held: Hypothesis
+    fit: ModelFit
+    left: Adequacy
+    own: tuple[ModelFit, ExperimentBatch]
+    seed: int
+    before: int | None = None
+    steps: list[Candidates] = field(default_factory=list)
+    ended: bool = False
+    _found: Candidates | None = None
+
+    @classmethod
+    def begin(
+        cls, inquiry: Inquiry, null: ModelFit, *, before: int | None = None, seed: int
+    ) -> "MisfitSelection":
+        """A selection that holds the base model alone.
+
+        Args:
+            inquiry: base model, effects and data, with the noise of single frames.
+            null: the base model's fit with that noise.
+            before: as of the class.
+            seed: of every random number.
+        """
+        held = Hypothesis(inquiry.base)
+        own = child(seed, "misfit")
+        fit, widened = fit_with_noise(inquiry, held, null, of_misfit=True, seed=own)
+        left = widened.test(fit, held, seed=seed)
+        return cls(inquiry, widened, held, fit, left, (fit, widened.batch), seed, before)
+
+    @property
+    def found(self) -> Candidates:
+        """Fits of hypotheses with one part more than what is held."""
+        if self._found is None:
+            count = len(self.held.parts)
+            leads = self.before is None
+            begin = (1.0 + LED) * count if self.before is None else self.before + count
+            counted = report_selection(
+                self.widened, self.held, "what comes nearest, cause", begin, led=leads
+            )
+            self._found = fit_candidates(
+                counted,
+                self.fit,
+                self.held,
+                starts=self.left.starts,
+                sifted=_SIFTED,
+                seed=child(self.seed, "misfit", count),
+            )
+        return self._found
+
+    def fits_ahead(self) -> dict[str, ModelFit]:
+        """Hypotheses that are ahead beside what is held, by this noise or beside slow noise."""
+        return choose_ahead(self.found, self.inquiry)
+
+    def place_led(self) -> float:
+        """Time at which the selection that this one leads begins, over that of one selection."""
+        return (1.0 + LED) * len(self.held.parts) + 1.0
+
+    def extend(self, beside: Sequence[Candidates]) -> None:
+        """Select the next part beside slow noise, by these fits and those of other attributions; if
+        none explains enough there, by this noise.
+        """
+        inquiry = self.inquiry
+        step, explained = weigh_beside_slow([self.found, *beside], inquiry.batch, inquiry.simulator)
+        self.steps.append(step)
+        name, nats = max(explained.items(), key=itemgetter(1), default=("", 0.0))
+        if nats < EXPLAINS:
+            name, nats = next(iter(self.found.explained.items()))
+            if nats < EXPLAINS:
+                self.ended = True
+                return
+        own = child(self.seed, "misfit", len(self.held.parts))
+        self.held = step.hypotheses[name]
+        self.fit, self.widened = fit_with_noise(
+            self.widened, self.held, step.fits[name], of_misfit=True, seed=own
+        )
+        self.left = self.widened.test(self.fit, self.held, seed=own)
+        self._found = None
+        self.ended = len(self.held.parts) >= inquiry.most or not inquiry.longer(self.held)
+
+    def conclude(self) -> WithinMisfit:
+        """What was found, with the base model's fit by the noise of what is left at last."""
+        base, _ = self.own
+        left = self.left
+        if self.held.parts:
+            silent = replace(self.widened, progress=None)
+            base = fit_null(silent, seed=self.seed, near=self.steps[0].fits[NONE])
+            left = self.widened.test(base, Hypothesis(self.inquiry.base), seed=self.seed)
+        return WithinMisfit(self.own, self.widened.batch, base, left, tuple(self.steps))
+
+
+@dataclass
+class KnownPath:
+    """The attributions of an earlier selection, as a lead of another with other noise.
+
+    Args:
+        inquiry: base model, effects and data, with the new noise of single frames.
+        steps: in the order of the selection.
+        number: of the step that leads next.
+    """
+
+    inquiry: Inquiry
+    steps: Sequence[Candidates]
+    number: int = 0
+
+    @property
+    def held(self) -> Hypothesis:
+        """What the next step holds."""
+        return self.steps[self.number].held
+
+    @property
+    def ended(self) -> bool:
+        """Whether no step is left."""
+        return self.number >= len(self.steps)
+
+    def fits_ahead(self) -> dict[str, ModelFit]:
+        """Hypotheses that were ahead in the next step."""
+        return choose_ahead(self.steps[self.number], self.inquiry)
+
+    def place_led(self) -> float:
+        """As of :class:`MisfitSelection`, after what that took."""
+        return (1.0 + LED) * self.inquiry.most + LED * self.number
+
+    def extend(self, beside: Sequence[Candidates]) -> None:
+        """Go on to the next step, whatever was found."""
+        self.number += 1
+
+
+def choose_ahead(found: Candidates, inquiry: Inquiry) -> dict[str, ModelFit]:
+    """Hypotheses that explain most by the noise of their fits or beside slow noise, and that gels
+    differ, with these fits.
+    """
+    ahead = _rank_beside_slow([found], inquiry.batch, inquiry.simulator)
+    alike = [name for name in found.explained if name in found.alike]
+    differing = [name for name in found.explained if name not in found.alike]
+    return {n: found.fits[n] for n in dict.fromkeys((*alike[:_AHEAD], *ahead, *differing))}
+
+
+def report_selection(
+    inquiry: Inquiry,
+    held: Hypothesis,
+    what: str,
+    begin: float,
+    *,
+    length: float = 1.0,
+    led: bool = False,
+) -> Inquiry:
+    """An inquiry that reports one selection; times are over that of one that is not led.
+
+    Args:
+        inquiry: base model, effects and data.
+        held: what was selected.
+        what: a selection is of.
+        begin: when it begins.
+        length: how long it takes.
+        led: whether it is of a selection with a lead, which is followed by one with new noise.
+    """
+    expected = max(begin + length, (1.0 + 2.0 * LED) * inquiry.most if led else 0.0)
+    name = f"{what} {len(held.parts) + 1} of at most {inquiry.most}"
+    parts = (begin / expected, (begin + length) / expected)
+    return replace(inquiry, progress=within(inquiry.progress, *parts, name=name, size=expected))
+
+
+def weigh_beside_slow(
+    steps: Sequence[Candidates], batch: ExperimentBatch, simulator: Simulator
+) -> tuple[Candidates, dict[str, float]]:
+    """Attributions beside one held hypothesis as one, with the fits that explain more beside slow
+    noise of each shot's own, and the nats that the last part of each hypothesis explains there.
+
+    Fits from several noise laws are tried, since each is where another noise led; of the hypotheses
+    that are ahead to first order about them, the most probable points beside slow noise count.
+    That gels differ between shots is left out: it is of each shot's own, as the deviations are.
+
+    Args:
+        steps: the attributions; hypotheses are those of the first.
+        batch: the data, with the noise of single frames.
+        simulator: makes the bubbles.
+    """
+    held = steps[0].held.name
+    fits = dict[str, ModelFit]()
+    evidence = dict[str, float]()
+    for name in (held, *_rank_beside_slow(steps, batch, simulator)):
+        seen = steps[0].hypotheses[name].seen(batch)
+        tried = [step.fits[name] for step in steps if name in step.fits]
+        again = [(evidence_beside_slow(fit, seen, simulator), fit) for fit in tried]
+        evidence[name], fits[name] = max(again, key=itemgetter(0))
+    explained = {n: value - evidence[held] for n, value in evidence.items() if n != held}
+    return replace(steps[0], fits=steps[0].fits | fits), explained
+
+
+def _rank_beside_slow(
+    steps: Sequence[Candidates], batch: ExperimentBatch, simulator: Simulator
+) -> list[str]:
+    """The hypotheses beside what is held that are ahead to first order, the best first."""
+    values = dict[str, float]()
+    for step in steps:
+        for name, fit in step.alike.items():
+            if name != step.held.name:
+                seen = step.hypotheses[name].seen(batch)
+                value = evidence_beside_slow(fit, seen, simulator, steps=0)
+                values[name] = max(value, values.get(name, -math.inf))
+    return sorted(values, key=values.__getitem__, reverse=True)[:_AHEAD]
+
+
+def evidence_beside_slow(
+    fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, steps: int = 6
+) -> float:
+    """Log evidence of a hypothesis beside slow noise of each shot's own, after so many steps from a
+    fit to the most probable point there; -inf where the fit has no prediction.
+    """
+    near = fit.linearise(batch, simulator)
+    if not bool(torch.isfinite(near.centre[batch.mask]).all()):
+        return -math.inf
+    return BesideSlowNoise.at_mode(near, steps=steps).log_evidence
+
+
+def fit_with_noise(
+    inquiry: Inquiry,
+    held: Hypothesis,
+    fit: ModelFit,
+    *,
+    of_misfit: bool = False,
+    seed: int,
+) -> tuple[ModelFit, Inquiry]:
+    """The fit of a hypothesis under the noise that is inferred about it, and the inquiry with that
+    noise: of single frames, or of all that the fit leaves.
+    """
+    for number in range(_NOISE_ROUNDS):
+        seen = held.seen(inquiry.batch)
+        noise = infer_frame_noise(fit.linearise(seen, inquiry.simulator))
+        if of_misfit:  # enlarged only at last: a fit by wide noise leaves more
+            noise = noise.for_fits(widen=number + 1 == _NOISE_ROUNDS)
+        inquiry = replace(inquiry, batch=noise.applied(inquiry.batch))
+        if inquiry.progress:
+            inquiry.progress(ProgressLine(f"noise {inquiry.batch.noise}", step="noise"))
+        if held.parts:
+            fit = finish(inquiry, fit, held, seed=child(seed, number))
+        else:
+            fit = fit_null(inquiry, seed=child(seed, number), near=fit)
+    return fit, inquiry
