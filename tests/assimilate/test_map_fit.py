@@ -9,7 +9,13 @@ import torch
 from torch import Tensor
 from torch.testing import assert_close
 
-from imr_torch.assimilate import Assimilation, ModelFit, SearchOptions, assimilate
+from imr_torch.assimilate import (
+    Assimilation,
+    DescentOptions,
+    ModelFit,
+    SearchOptions,
+    assimilate,
+)
 from imr_torch.errors import ConvergenceError, ConvergenceWarning, InputDataError, ShapeError
 from imr_torch.float64 import full, linspace, zeros
 from imr_torch.material import PARAMETERS, Belief, TruncatedNormal
@@ -254,8 +260,8 @@ def test_that_among_models_the_other_starts_of_a_model_with_several_minima_follo
     good = tensor((0.2, 0.0), (0.3, 0.0))
     rows = tensor((1.7, 0.0, 0.0), (1.75, 0.0, 0.0), (0.4, 0.0, 0.0))
 
-    def cost(starts: Tensor) -> float:
-        options = SearchOptions(drop_behind=0.1)
+    def cost(starts: Tensor, *, sifted: int | None = None) -> float:
+        options = SearchOptions(drop_behind=0.1, descent=DescentOptions(sifted=sifted))
         found = assimilate(
             belief, batch, WavySimulator(), seed=1, options=options, starts=[good, starts]
         )
@@ -267,6 +273,8 @@ def test_that_among_models_the_other_starts_of_a_model_with_several_minima_follo
     best = cost(rows[[2, 2]])
     assert cost(rows[:2]) > best + 1.0
     assert cost(rows) == pytest.approx(best, abs=1e-3)
+    # a few iterations show which starts are worth it
+    assert cost(rows, sifted=2) == pytest.approx(best, abs=1e-3)
 
 
 # ---------------------------------------------------------------- certificates, both ways
