@@ -191,6 +191,13 @@ class Neighbourhood:
         same = self.posterior.simulator is posterior.simulator
         return same and all(map(torch.equal, mine, others))
 
+    def of_experiments(self, rows: Int[Tensor, "rows"]) -> "Neighbourhood":
+        """That of some of the experiments, without a bubble."""
+        posterior = self.posterior.of_experiments(rows)
+        point = Point(self.point.gel, self.point.nuisances[..., rows, :])
+        frames = posterior.batch.times.shape[1]
+        return Neighbourhood(posterior, point, self.prediction[..., rows, :frames])
+
     @cached_property
     def jacobian(self) -> Float[Tensor, "coordinates experiments frames"]:
         """Sensitivities of one point to all coordinates, in the order of

@@ -285,18 +285,19 @@ class _Fold:
         nothing explains enough. Its fits are added to those given.
         """
 
-        def evidence(name: str, fit: ModelFit, **own: int) -> float:
+        def evidence(name: str, fit: ModelFit) -> float:
             if not slow:
                 return laplace_evidence(fit)
             seen = step.hypotheses[name].seen(self.data)
-            return evidence_beside_slow(fit, seen, self.simulator, **own)
+            return evidence_beside_slow(fit.linearise(seen, self.simulator))
 
         def on_kept(name: str) -> float:
             """Evidence of a fit to all designs on those that are kept."""
             fit = step.fits[name]
             if not slow:
                 return self._evidence_of_some(fit, step.hypotheses[name])
-            return evidence(name, replace(fit, nuisances=fit.nuisances[self.kept]), steps=0)
+            near = fit.linearise(step.hypotheses[name].seen(self.report.batch), self.simulator)
+            return evidence_beside_slow(near.of_experiments(torch.tensor(self.kept)), steps=0)
 
         held = step.held
         tried = [name for name in step.log_evidence if name != held.name]

@@ -15,7 +15,7 @@ from operator import itemgetter
 
 import torch
 
-from imr_torch.assimilate import ModelFit, infer_frame_noise
+from imr_torch.assimilate import ModelFit, Neighbourhood, infer_frame_noise
 from imr_torch.assimilate.slow_noise import BesideSlowNoise
 from imr_torch.gap.adequacy import Adequacy
 from imr_torch.gap.attribute import Candidates, fit_candidates
@@ -258,7 +258,7 @@ def weigh_beside_slow(
     for name in (held, *_rank_beside_slow(steps, batch, simulator)):
         seen = steps[0].hypotheses[name].seen(batch)
         tried = [step.fits[name] for step in steps if name in step.fits]
-        again = [(evidence_beside_slow(fit, seen, simulator), fit) for fit in tried]
+        again = [(evidence_beside_slow(f.linearise(seen, simulator)), f) for f in tried]
         evidence[name], fits[name] = max(again, key=itemgetter(0))
     explained = {n: value - evidence[held] for n, value in evidence.items() if n != held}
     return replace(steps[0], fits=steps[0].fits | fits), explained
@@ -273,19 +273,16 @@ def _rank_beside_slow(
         for name, fit in step.alike.items():
             if name != step.held.name:
                 seen = step.hypotheses[name].seen(batch)
-                value = evidence_beside_slow(fit, seen, simulator, steps=0)
+                value = evidence_beside_slow(fit.linearise(seen, simulator), steps=0)
                 values[name] = max(value, values.get(name, -math.inf))
     return sorted(values, key=values.__getitem__, reverse=True)[:_AHEAD]
 
 
-def evidence_beside_slow(
-    fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, steps: int = 6
-) -> float:
+def evidence_beside_slow(near: Neighbourhood, *, steps: int = 6) -> float:
     """Log evidence of a hypothesis beside slow noise of each shot's own, after so many steps from a
     fit to the most probable point there; -inf where the fit has no prediction.
     """
-    near = fit.linearise(batch, simulator)
-    if not bool(torch.isfinite(near.centre[batch.mask]).all()):
+    if not bool(torch.isfinite(near.centre[near.posterior.batch.mask]).all()):
         return -math.inf
     return BesideSlowNoise.at_mode(near, steps=steps).log_evidence
 

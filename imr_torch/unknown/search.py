@@ -129,7 +129,7 @@ class KindSearch:
         *,
         inside: bool = True,
         lead: KindFit | None = None,
-        settled: float = 1.0,
+        settled: tuple[float, float] = (1.0, 3e-4),
         halvings: int = 6,
     ) -> KindFit:
         """A kind, each step halved until it descends.
@@ -139,7 +139,7 @@ class KindSearch:
             inside: whether it acts in the equation of motion.
             lead: a fit that explains the data, at whose trajectories it begins if it can make them,
                 else at those of the base model.
-            settled: nats that a further round must gain.
+            settled: nats that a further round must gain, and their share of all that were gained.
             halvings: lengths of a step that are tried.
         """
         still = self.still
@@ -152,6 +152,7 @@ class KindSearch:
             led = self.linearise(columns, lead.state, lead.responses)
             if self._cost(led.aim, led.size) < self._cost(found.state, led.size):
                 found = self.linearise(columns, led.aim, self.respond(led.aim))
+        first = self._cost(still, found.size)
         for _ in range(self.rounds - 1):
             before = self._cost(found.state, found.size)
             for number in range(halvings):
@@ -162,7 +163,8 @@ class KindSearch:
             else:
                 break
             found = self.linearise(columns, moved, self.respond(moved))
-            if gain < settled:
+            least, share = settled
+            if gain < max(least, share * (first - before + gain)):
                 break
         return found
 
