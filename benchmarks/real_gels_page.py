@@ -1,106 +1,144 @@
-"""One readable page (Markdown) of a record of `real_gels.py`: controls, and a table of all sets."""
+"""One readable page (Markdown) of a record of `real_gels.py`, and a figure a set. The words are in
+`real_gels.md.jinja`; everything said of a set follows from the record and `records/real_gels.toml`.
+"""
 
+import os
+from math import sqrt
 from pathlib import Path
 from statistics import median
+from typing import Any
 
-from benchmarks.real_gels_controls import Record, controls, model
+import matplotlib.pyplot as plt
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from matplotlib.axes import Axes
+
+from benchmarks.real_gels_controls import KNOWN, WIDE, Record, controls, find_published, model
 from benchmarks.records import Line, write_table
+from imr_torch.drawing import DATA, MODEL, SECOND, TRUTH
+
+QUANTITIES = {"G": ("kPa", 1e-3), "mu": ("Pa s", 1.0)}
+RIGHT = "if the model is right"
+LACKING = "with what it may lack"
+COLORS = {"characterize": DATA, RIGHT: MODEL, LACKING: MODEL}
+"""Intervals of a set; what is published has the colour of a truth, another fit another."""
 
 
-def write_page(rows: list[Line], path: Path) -> None:
-    """Write the page."""
+def write_page(rows: list[Line], path: Path, figures: Path) -> None:
+    """Write the page, and the figures into a folder of their own."""
     record: Record = {(row["set"], row["task"]): row for row in rows}
-    sets = list(dict.fromkeys(name for name, _ in record))
-    word = {True: "yes", False: "no", None: "open"}
-    checked = [(c.name, c.must, c.value, word[c.met]) for c in controls(record)]
-    parts = [
-        "# Real gels",
-        "## Controls",
-        write_table(("control", "must", "found", "met"), checked),
-        "## Sets",
-        write_table(
-            MODELS,
-            [_models(record[x, "characterize"]) for x in sets if (x, "characterize") in record],
-        ),
-        write_table(DIAGNOSES, [_diagnosis(record[x, "diagnose"]) for x in sets]),
-    ]
-    cpu = sum(row["cpu"] for row in rows)
-    parts.append(f"{len(sets)} sets, {len(rows)} lines, {cpu / 60.0:.0f} minutes of one processor.")
-    path.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
+    figures.mkdir(parents=True, exist_ok=True)
+    found = [_read_set(record, name) for name in KNOWN["sets"] if (name, "diagnose") in record]
+    for own in found:
+        own["figure"] = Path(
+            os.path.relpath(figures / f"{own['name']}.svg", path.parent)
+        ).as_posix()
+        with plt.rc_context({"svg.hashsalt": own["name"], "svg.fonttype": "none"}):
+            _draw_set(own).savefig(figures / f"{own['name']}.svg", metadata={"Date": None})
+        plt.close()
+    loader = FileSystemLoader(Path(__file__).parent)
+    words = Environment(
+        loader=loader, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    words.filters["number"] = _number
+    page = words.get_template("real_gels.md.jinja").render(
+        sets=found,
+        controls=controls(record),
+        values=KNOWN["values"],
+        quantities=QUANTITIES,
+        right=RIGHT,
+        wide=LACKING,
+        write_table=write_table,
+        median=median,
+        minutes=sum(row["cpu"] for row in rows) / 60.0,
+        lines=len(rows),
+    )
+    path.write_text(page + "\n", encoding="utf-8")
 
 
-MODELS = (
-    "set",
-    "stated medium",
-    "curves",
-    "most probable",
-    "G of NHKV (kPa)",
-    "mu (Pa s)",
-    "RMSE in R*",
-    "fit test",
-    "CPU (s)",
-)
-DIAGNOSES = (
-    "set",
-    "what it says",
-    "selected",
-    "share of the gap on unseen curves (90 %)",
-    "95 % of random libraries",
-    "left on unseen curves, median: base model; selected (curves)",
-    "G (kPa), with what the model may lack",
-    "CPU (s)",
-)
+def _read_set(record: Record, name: str) -> dict[str, Any]:
+    """What the page says of a set: its diagnosis, intervals and published values, in page units."""
+    row = record[name, "diagnose"]
+    fitted = record.get((name, "characterize"), {})
+    triples = {
+        "characterize": model(fitted, "nhkv")["intervals"] if "models" in fitted else None,
+        RIGHT: row.get("parameters"),
+        LACKING: row.get(WIDE),
+    }
+    numbers = {}
+    for quantity, (_, scale) in QUANTITIES.items():
+        numbers[quantity] = {
+            "intervals": {
+                label: [scale * x for x in own[quantity]] for label, own in triples.items() if own
+            },
+            "published": [
+                own | {"ends": [scale * x for x in own["ends"]]}
+                for own in find_published(name, quantity)
+            ],
+        }
+    why = _why_nothing(row)
+    return KNOWN["sets"][name] | {"name": name, "row": row, "numbers": numbers, "why": why}
 
 
-def _models(row: Line) -> list[str]:
-    """Parameters and model probabilities of a set."""
-    if "error" in row:
-        return [row["set"], row["stated"], "", row["error"], *[""] * 5]
-    best, p = max(row["model_probabilities"].items(), key=lambda item: item[1])
-    own = row["models"][row["best"]]
-    test = row["fit_test"]
-    return [
-        row["set"],
-        row["stated"],
-        f"{len(row['experiments'])}{', R_inf assumed' if row['rest_assumed'] else ''}",
-        f"{best.split('+')[0]} {p:.2f}",
-        _interval([1e-3 * x for x in model(row, "nhkv")["intervals"]["G"]]),
-        _interval(own["intervals"]["mu"]) if "mu" in own["intervals"] else "",
-        f"{own['rmse']:.3f}",
-        "" if test is None or test["p_value"] is None else f"p {test['p_value']:.1g}",
-        f"{row['cpu']:.0f}",
-    ]
+def _why_nothing(row: Line) -> str:
+    """Why nothing can be quoted of a set; empty where something can, as a diagnosis itself says it."""
+    cause = row.get("cause", ())
+    reasons = {
+        "it was not fitted": "gap" not in row,
+        "the fit has not converged": not row.get("converged"),
+        "no rest radius was recorded and the fit leans on an assumed one": row.get("rest_assumed"),
+        "the shots differ": "gel_scatter" in cause,
+        "the causes that remain are not told apart": row.get("verdict") == "class",
+        "no cause is named": row.get("gap") and not cause,
+    }
+    return next((reason for reason, holds in reasons.items() if holds), "")
 
 
-def _interval(values: list[float]) -> str:
-    low, middle, high = values
-    return f"{middle:.3g} ({low:.3g}-{high:.3g})"
+def _number(x: float) -> str:
+    return f"{float(f'{x:.3g}'):g}"
 
 
-def _diagnosis(row: Line) -> list[str]:
-    """What the diagnosis of a set says."""
-    if "gap" not in row:
-        said = row.get("error") or row["skipped"]
-        return [row["set"], said, *[""] * 5, f"{row['cpu']:.0f}"]
-    found = row["shrinkage"] or {}
-    share = found.get("share")
-    wide = row["parameters_with_model_error"]
-    return [
-        row["set"],
-        row["headline"],
-        ", ".join(row["selected"]),
-        "" if not share else f"{share[1]:.2f} ({share[0]:.2f} to {share[2]:.2f})",
-        "" if not share else f"{found['placebo_95']:.2f}",
-        _left(row),
-        "" if not wide else _interval([1e-3 * x for x in wide["G"]]),
-        f"{row['cpu']:.0f}",
-    ]
+def _draw_set(own: dict[str, Any]) -> plt.Figure:
+    """Intervals of G and mu beside what is published, and what unseen curves leave."""
+    bars = {}
+    for quantity, (unit, _) in QUANTITIES.items():
+        numbers = own["numbers"][quantity]
+        rows = [(label, x, COLORS[label]) for label, x in numbers["intervals"].items()]
+        for x in numbers["published"]:
+            if x["ends"]:
+                low, high = x["ends"]
+                color = SECOND if x["fit"] else TRUTH
+                rows.append((x["reading"] or "published", [low, sqrt(low * high), high], color))
+        if rows:
+            bars[f"{quantity} ({unit})"] = rows
+    left = own["row"].get("left") or {}
+    heights = [len(rows) + 1 for rows in bars.values()] + [3] * bool(left)
+    figure, axes = plt.subplots(
+        len(heights),
+        squeeze=False,
+        height_ratios=heights,
+        figsize=(5.0, 0.22 * sum(heights) + 0.45 * len(heights)),
+        layout="constrained",
+    )
+    for ax, (title, rows) in zip(axes[:, 0], bars.items(), strict=False):
+        for y, (_, (low, middle, high), color) in enumerate(rows):
+            ax.plot([low, high], [y, y], color=color, lw=3, alpha=0.5)
+            ax.plot(middle, y, "o", color=color, ms=5)
+        ax.set(xscale="log", xlabel=title, ylim=(len(rows) - 0.4, -0.6))
+        ax.set_yticks(range(len(rows)), [label for label, _, _ in rows])
+        _thin_out(ax)
+    for y, values in enumerate(left.values()):
+        ax = axes[-1, 0]
+        ax.plot(values, [y] * len(values), "|", color=MODEL, ms=9)
+        ax.plot(median(values), y, "o", color=MODEL, ms=5)
+        ax.set(xscale="log", xlabel="left on unseen curves (standard deviations)", ylim=(1.6, -0.6))
+        ax.set_yticks([0, 1], ["base model", "with the nearest"])
+        _thin_out(ax)
+    return figure
 
 
-def _left(row: Line) -> str:
-    """What the unseen curves leave, in units of .004 in R* and .15 frames of jitter."""
-    left = row.get("left")
-    if not left:
-        return ""
-    base, selected = (median(left[name]) for name in ("base", "selected"))
-    return f"{base:.1f}; {selected:.1f} ({len(left['base'])})"
+def _thin_out(ax: Axes) -> None:
+    """Few marks, so that the file is small; plain numbers, which need no font of their own."""
+    ax.xaxis.set_major_formatter("{x:g}")
+    ax.minorticks_off()
+    ax.grid(axis="x", lw=0.4)
+    ax.spines[:].set_visible(False)
