@@ -46,7 +46,7 @@ from imr_torch.simulate import ACCURACIES, TransportSimulator
 from imr_torch.units import Surroundings
 
 SETS: dict[str, str] = {name: own["medium"] for name, own in KNOWN["sets"].items()}
-"""Set -> stated medium, in the order in which they run."""
+"""Set -> stated medium, in the order of the page."""
 
 BASE = "nhkv"
 SEED = 0

@@ -10,7 +10,6 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from matplotlib.axes import Axes
 
 from benchmarks.real_gels_controls import KNOWN, WIDE, Record, controls, find_published, model
 from benchmarks.records import Line, write_table
@@ -23,6 +22,10 @@ COLORS = {"characterize": DATA, RIGHT: MODEL, LACKING: MODEL}
 """Intervals of a set; what is published has the colour of a truth, another fit another."""
 
 
+STYLE = {"svg.fonttype": "none", "font.sans-serif": ["DejaVu Sans"]}
+"""Text stays text, and remaking a figure gives the same bytes: with the salt of names, no date."""
+
+
 def write_page(rows: list[Line], path: Path, figures: Path) -> None:
     """Write the page, and the figures into a folder of their own."""
     record: Record = {(row["set"], row["task"]): row for row in rows}
@@ -32,7 +35,7 @@ def write_page(rows: list[Line], path: Path, figures: Path) -> None:
         own["figure"] = Path(
             os.path.relpath(figures / f"{own['name']}.svg", path.parent)
         ).as_posix()
-        with plt.rc_context({"svg.hashsalt": own["name"], "svg.fonttype": "none"}):
+        with plt.rc_context(STYLE | {"svg.hashsalt": own["name"]}):
             _draw_set(own).savefig(figures / f"{own['name']}.svg", metadata={"Date": None})
         plt.close()
     loader = FileSystemLoader(Path(__file__).parent)
@@ -93,8 +96,8 @@ def _why_nothing(row: Line) -> str:
     return next((reason for reason, holds in reasons.items() if holds), "")
 
 
-def _number(x: float) -> str:
-    return f"{float(f'{x:.3g}'):g}"
+def _number(x: float, digits: int = 3) -> str:
+    return f"{float(f'{x:.{digits}g}'):g}"
 
 
 def _draw_set(own: dict[str, Any]) -> plt.Figure:
@@ -110,8 +113,12 @@ def _draw_set(own: dict[str, Any]) -> plt.Figure:
                 rows.append((x["reading"] or "published", [low, sqrt(low * high), high], color))
         if rows:
             bars[f"{quantity} ({unit})"] = rows
-    left = own["row"].get("left") or {}
-    heights = [len(rows) + 1 for rows in bars.values()] + [3] * bool(left)
+    if left := own["row"].get("left"):
+        bars["left on unseen curves (standard deviations)"] = [
+            (label, [min(left[key]), median(left[key]), max(left[key])], MODEL)
+            for label, key in (("base model", "base"), ("with the nearest", "selected"))
+        ]
+    heights = [len(rows) + 1 for rows in bars.values()]
     figure, axes = plt.subplots(
         len(heights),
         squeeze=False,
@@ -119,26 +126,14 @@ def _draw_set(own: dict[str, Any]) -> plt.Figure:
         figsize=(5.0, 0.22 * sum(heights) + 0.45 * len(heights)),
         layout="constrained",
     )
-    for ax, (title, rows) in zip(axes[:, 0], bars.items(), strict=False):
+    for ax, (title, rows) in zip(axes[:, 0], bars.items(), strict=True):
         for y, (_, (low, middle, high), color) in enumerate(rows):
             ax.plot([low, high], [y, y], color=color, lw=3, alpha=0.5)
             ax.plot(middle, y, "o", color=color, ms=5)
         ax.set(xscale="log", xlabel=title, ylim=(len(rows) - 0.4, -0.6))
         ax.set_yticks(range(len(rows)), [label for label, _, _ in rows])
-        _thin_out(ax)
-    for y, values in enumerate(left.values()):
-        ax = axes[-1, 0]
-        ax.plot(values, [y] * len(values), "|", color=MODEL, ms=9)
-        ax.plot(median(values), y, "o", color=MODEL, ms=5)
-        ax.set(xscale="log", xlabel="left on unseen curves (standard deviations)", ylim=(1.6, -0.6))
-        ax.set_yticks([0, 1], ["base model", "with the nearest"])
-        _thin_out(ax)
+        ax.xaxis.set_major_formatter("{x:g}")
+        ax.minorticks_off()  # few marks and no frame: the file is small
+        ax.grid(axis="x", lw=0.4)
+        ax.set_frame_on(False)
     return figure
-
-
-def _thin_out(ax: Axes) -> None:
-    """Few marks, so that the file is small; plain numbers, which need no font of their own."""
-    ax.xaxis.set_major_formatter("{x:g}")
-    ax.minorticks_off()
-    ax.grid(axis="x", lw=0.4)
-    ax.spines[:].set_visible(False)
