@@ -201,9 +201,10 @@ def run_task(file: Path, task: str, most: int) -> Line:
     """The line of a set and a task, with its CPU time; paths are left out of what went wrong."""
     warnings.simplefilter("ignore")
     started = time.process_time()
-    line: Line = {}
+    name = file.stem
+    line: Line = {"set": name, "task": task, "stated": SETS[name], "max_curves": most}
     try:
-        line |= TASKS[task](file, most, SETS[file.stem])
+        line |= TASKS[task](file, most, SETS[name])
     except (ImrError, RuntimeError) as error:  # torch reports a singular matrix as the latter
         text = f"{type(error).__name__}: {error}"
         line["error"] = text.replace(f"{file.parent}/", "")
@@ -228,22 +229,13 @@ def main() -> None:
     if args.command == "table":
         write_page(read_record(args.out), args.page, args.figures)
         return
-    names = [name for name in SETS if name.startswith(tuple(args.sets.split(",")))]
-    pairs = [(name, task) for name in names for task in args.tasks.split(",")]
     jobs = {
         f"{name}/{task}": partial(run_task, args.folder / f"{name}.csv", task, args.max_curves)
-        for name, task in pairs
+        for name in SETS
+        for task in args.tasks.split(",")
+        if name.startswith(tuple(args.sets.split(",")))
     }
-    about = {
-        f"{name}/{task}": {
-            "set": name,
-            "task": task,
-            "stated": SETS[name],
-            "max_curves": args.max_curves,
-        }
-        for name, task in pairs
-    }
-    run_missing_jobs(args.out, jobs, about=about, workers=args.workers)
+    run_missing_jobs(args.out, jobs, workers=args.workers)
 
 
 if __name__ == "__main__":
