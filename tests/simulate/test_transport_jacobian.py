@@ -11,23 +11,13 @@ from imr_torch.simulate import (
     PRESETS,
     RADIAL_EQUATIONS,
     Conditions,
-    GasMixture,
-    Medium,
     Resolution,
 )
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.linearise import linearise_equations
 from imr_torch.simulate.rhs import HEAD, Equations
 from imr_torch.simulate.rosenbrock import rosenbrock_step
-from tests.simulate.bubble import sine
-
-CONDITIONS = {
-    **PRESETS,
-    "cold gel": Conditions(medium=Medium(warm=False)),
-    "dry gas": Conditions(mixture=GasMixture(vapour="absent")),
-    "constant vapour": Conditions(mixture=GasMixture(vapour="constant")),
-    "frozen vapour": Conditions(mixture=GasMixture(vapour="frozen")),
-}
+from tests.simulate.bubble import CLOSURES, sine
 
 
 def gels(**columns):
@@ -121,7 +111,7 @@ def assert_jacobian_is_automatic(equations, vapour=True):
 @pytest.mark.parametrize(
     "resolution", [Resolution(4, 6), Resolution(5, 5)], ids=["unequal", "equal"]
 )
-@pytest.mark.parametrize("conditions", CONDITIONS.values(), ids=CONDITIONS)
+@pytest.mark.parametrize("conditions", CLOSURES.values(), ids=CLOSURES)
 def test_the_jacobian_is_that_of_automatic_differentiation(conditions, resolution):
     equations = Equations(Bubbles.of(PARAMETER_ROWS, DESIGNS, conditions), *resolution.grids())
     assert_jacobian_is_automatic(equations, conditions.mixture.vapour == "transported")
