@@ -25,16 +25,8 @@ KNOWN = tomllib.loads(Path(__file__).with_name("records").joinpath("real_gels.to
 LIQUIDS = tuple(f"peg8k_{share}pct_liquid" for share in (20, 40, 60, 80))
 WATER = ("water_laser", "water_histotripsy")
 PEGDA = tuple(f"pegda_s{i}" for i in range(1, 6))
-ELASTIC = frozenset(
-    {"strain_stiffening", "damage", "healing_damage", "graded_modulus", "permanent_set"}
-)
-MATERIAL = ELASTIC | {
-    "stress_relaxation",
-    "shear_thinning",
-    "viscous_damage",
-    "yield_stress",
-    "density",
-}
+ELASTIC = frozenset(KNOWN["effects"]["elastic"])
+MATERIAL = ELASTIC.union(KNOWN["effects"]["material"])
 """Effects of the library that are properties of the gel, and neither of the drive nor of the contents or the camera."""
 
 

@@ -9,7 +9,7 @@ from statistics import median
 from typing import Any
 
 import matplotlib.pyplot as plt
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from jinja2 import StrictUndefined, Template
 from matplotlib.figure import Figure
 
 from benchmarks.real_gels_controls import KNOWN, Record, controls, find_published, model
@@ -41,13 +41,8 @@ def write_page(rows: list[Line], path: Path, figures: Path) -> None:
         with plt.rc_context(STYLE | {"svg.hashsalt": own["name"]}):
             _draw_set(own).savefig(figures / f"{own['name']}.svg", metadata={"Date": None})
         plt.close()
-    words = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    page = words.get_template("real_gels.md.jinja").render(
+    words = Path(__file__).with_name("real_gels.md.jinja").read_text(encoding="utf-8")
+    page = Template(words, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True).render(
         sets=sets,
         folder=Path(os.path.relpath(figures, path.parent)).as_posix(),
         controls=write_table(("control", "must", "found", "met"), controls(record)),
@@ -95,21 +90,19 @@ def _draw_set(own: dict[str, Any]) -> Figure:
         1.0,
         [(key, (min(x), median(x), max(x)), MODEL) for key, x in left.items()],
     )
-    panels = {title: panel for title, panel in panels.items() if panel[1]}
-    heights = [len(bars) + 1 for _, bars in panels.values()]
-    figure, axes = plt.subplots(
-        len(heights),
-        squeeze=False,
-        height_ratios=heights,
-        figsize=(5.0, 0.22 * sum(heights) + 0.45 * len(heights)),
-        layout="constrained",
-    )
-    for ax, (title, (scale, bars)) in zip(axes[:, 0], panels.items(), strict=True):
+    drawn = {title: panel for title, panel in panels.items() if panel[1]}
+    tall = sum(0.22 * len(bars) + 0.5 for _, bars in drawn.values())
+    figure = plt.figure(figsize=(5.0, tall))
+    top = tall
+    for title, (scale, bars) in drawn.items():
+        top -= 0.22 * len(bars)
+        ax = figure.add_axes((0.38, top / tall, 0.58, 0.22 * len(bars) / tall))
+        top -= 0.5
         for y, (_, triple, color) in enumerate(bars):
             low, middle, high = (scale * x for x in triple)
             ax.plot([low, high], [y, y], color=color, lw=3, alpha=0.5)
             ax.plot(middle, y, "o", color=color, ms=5)
-        ax.set(xscale="log", xlabel=title, ylim=(len(bars) - 0.4, -0.6))
+        ax.set(xscale="log", xlabel=title, ylim=(len(bars) - 0.5, -0.5))
         ax.set_yticks(range(len(bars)), [label for label, _, _ in bars])
         ax.xaxis.set_major_formatter("{x:g}")
         ax.minorticks_off()  # few marks and no frame: the file is small

@@ -1,7 +1,7 @@
 """A simulator that is linear in the gel and in two nuisances, and the exact posterior and evidence that follow from it."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
@@ -16,6 +16,7 @@ SDS = {"G": 1200.0, "mu": 0.06, "alpha": 0.3}
 MODELS = ("newtonian", "nhkv", "gen_qkv")
 NOISE = Noise(floor=0.05, slope=0.0, drift=0.0)
 CORRELATED = Noise(floor=0.05, slope=0.0, drift=0.0, correlation_time=0.3)
+CLOCK = Nuisance(time_zero=0.2)
 BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
 
 
@@ -133,6 +134,17 @@ def experiments(
             )
         )
     return ExperimentBatch(tuple(made), noise)
+
+
+BATCHES = {
+    "one experiment": experiments(1),
+    "several": experiments(3),
+    "correlated noise": experiments(3, noise=CORRELATED),
+    "uncertain clock": experiments(3, nuisance=CLOCK),
+    "uncertain clock and rest radius": experiments(4, nuisance=BOTH),
+    "both, correlated": experiments(3, nuisance=BOTH, noise=CORRELATED),
+    "scaled noise": experiments(2, noise=replace(NOISE, scale=3.0)),
+}
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,9 @@ from imr_torch.material import PARAMETERS, Belief, TruncatedNormal
 from imr_torch.observe import ExperimentBatch, Noise, Nuisance, SimulatedLaboratory, predict
 from imr_torch.simulate import PolytropicSimulator, Solution
 from tests.linear import (
+    BATCHES,
     BOTH,
+    CLOCK,
     CORRELATED,
     MEANS,
     NOISE,
@@ -30,7 +32,6 @@ from tests.linear import (
 )
 
 OPTIONS = SearchOptions(raw_samples=24)
-CLOCK = Nuisance(time_zero=0.2)
 
 
 def fitted(
@@ -50,17 +51,6 @@ def assert_exact(fit: ModelFit, truth: Exact, *, atol: float = 3e-7) -> None:
     # rounding of the differences leaves 2e-7 posterior standard deviations of gradient
     error = (fit.nuisance_chol.mT @ (fit.nuisances - truth.nuisances)[..., None])[..., 0]
     assert float(error.abs().max()) < 1e-5  # standard deviations; a certificate allows 1e-3
-
-
-BATCHES = {
-    "one experiment": experiments(1),
-    "several": experiments(3),
-    "correlated noise": experiments(3, noise=CORRELATED),
-    "uncertain clock": experiments(3, nuisance=CLOCK),
-    "uncertain clock and rest radius": experiments(4, nuisance=BOTH),
-    "both, correlated": experiments(3, nuisance=BOTH, noise=CORRELATED),
-    "scaled noise": experiments(2, noise=replace(NOISE, scale=3.0)),
-}
 
 
 @pytest.mark.parametrize("correlated", [False, True], ids=["standard prior", "correlated prior"])

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from imr_torch.design import Plan
+from imr_torch.design import ExpectedInformationGain, Laplace, Plan
 from imr_torch.float64 import eye, full, linspace, tensor, zeros
 from imr_torch.material import PARAMETERS, Belief, ModelBelief, TruncatedNormal
 from imr_torch.observe import Noise
@@ -125,3 +125,9 @@ def exact(belief: Belief, designs: Tensor, how: Plan) -> float:
         for part in belief.models
     ]
     return float(belief.log_probabilities.exp() @ torch.stack(gains))
+
+
+def acquisition(belief=ONE, estimator=None, **options):
+    return ExpectedInformationGain(
+        belief, LinearCamera(), estimator or Laplace(draws=4), plan=plan(), **options
+    )
