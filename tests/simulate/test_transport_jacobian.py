@@ -117,14 +117,15 @@ def test_the_jacobian_is_that_of_automatic_differentiation(conditions, resolutio
     assert_jacobian_is_automatic(equations, conditions.mixture.vapour == "transported")
 
 
+def few_equations(columns, conditions) -> Equations:
+    return Equations(Bubbles.of(gels(**columns), DESIGNS, conditions), *Resolution(4, 4).grids())
+
+
 @pytest.mark.parametrize("motion", RADIAL_EQUATIONS.values(), ids=RADIAL_EQUATIONS)
 @pytest.mark.parametrize("columns", REMEMBERING.values(), ids=REMEMBERING)
 def test_so_it_does_with_every_gel_in_every_radial_equation(columns, motion):
     conditions = Conditions(motion=motion, driving=sine(5e4, 2e4))
-    equations = Equations(
-        Bubbles.of(gels(**PLAIN | columns), DESIGNS, conditions), *Resolution(4, 4).grids()
-    )
-    assert_jacobian_is_automatic(equations)
+    assert_jacobian_is_automatic(few_equations(PLAIN | columns, conditions))
 
 
 @pytest.mark.parametrize("key", ["published", "authors_code"])
@@ -132,10 +133,7 @@ def test_so_it_does_with_every_gel_in_every_radial_equation(columns, motion):
 def test_so_it_does_with_every_effect(columns, key):
     for motion in (RADIAL_EQUATIONS["keller_miksis"], RADIAL_EQUATIONS["gilmore"]):
         conditions = replace(PRESETS[key], motion=motion)
-        equations = Equations(
-            Bubbles.of(gels(**PLAIN | columns), DESIGNS, conditions), *Resolution(4, 4).grids()
-        )
-        assert_jacobian_is_automatic(equations)
+        assert_jacobian_is_automatic(few_equations(PLAIN | columns, conditions))
 
 
 @pytest.mark.parametrize("motion", RADIAL_EQUATIONS.values(), ids=RADIAL_EQUATIONS)
@@ -143,9 +141,7 @@ def test_the_slope_in_time_is_that_of_the_acceleration(motion):
     """By automatic differentiation, with driving, a sound field and a pulse at once."""
     columns = PLAIN | ACTING["in a sound field"]
     conditions = Conditions(motion=motion, driving=sine(5e4, 2e4))
-    equations = Equations(
-        Bubbles.of(gels(**columns), DESIGNS, conditions), *Resolution(4, 4).grids()
-    )
+    equations = few_equations(columns, conditions)
     state = rough_state(equations)
     time = tensor([0.3, 0.7, 1.1])
     _, slope = linearise_equations(equations, equations.fields(state, time))
