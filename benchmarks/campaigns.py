@@ -14,13 +14,12 @@ beside it. A run goes on where it stopped.
 
 import time
 from functools import partial
-from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import torch
 from torch import Tensor
 
-from benchmarks.records import Figure, Line, run_missing_jobs, start_parser, write_figures
+from benchmarks.records import Figure, Line, add_out, run_missing_jobs, start_parser, write_figures
 from imr_torch.campaign import Campaign, CampaignSettings, Optimal
 from imr_torch.design import (
     DesignMeasure,
@@ -164,14 +163,11 @@ def score_campaigns(lines: list[Line], designs: int) -> list[Figure]:
 def main() -> None:
     """Run and tabulate."""
     parser = start_parser(__doc__)
-    parser.add_argument("out", type=Path, metavar="OUT.jsonl")
+    add_out(parser)
     parser.add_argument("--case", choices=CASES, default="stiff-pa")
     parser.add_argument("--physics", choices=SIMULATORS, default="transport")
     parser.add_argument("--seeds", type=int, default=4)
     parser.add_argument("--designs", type=int, default=3)
-    parser.add_argument(
-        "--workers", type=int, default=1, help="processes, a seed at a time in each"
-    )
     args = parser.parse_args()
     case = reference_case(args.case)
     simulator = SIMULATORS[args.physics]

@@ -15,7 +15,8 @@ vapour transport. Tasks:
   frames of jitter. Two curves have two halves of one, one curve has none.
 - `other half`: the diagnosis of those other curves.
 
-`table` writes one page, with the controls (`real_gels_controls.py`).
+`table` writes one page and a figure a set: controls (`real_gels_controls.py`), and every set beside
+independent values (`records/real_gels.toml`, which holds the stated media too).
 """
 
 import json
@@ -29,6 +30,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from benchmarks.real_gels_controls import KNOWN
 from benchmarks.real_gels_page import write_page
 from benchmarks.records import Line, add_out, read_record, run_missing_jobs, start_parser
 from imr_torch import characterize, load_traces
@@ -43,31 +45,8 @@ from imr_torch.random import child
 from imr_torch.simulate import ACCURACIES, TransportSimulator
 from imr_torch.units import Surroundings
 
-SETS: dict[str, str] = {
-    "gel03_histotripsy": "agarose_0.5,density=1002:5",
-    "gel03_laser": "agarose_0.5,density=1002:5",
-    "gel25_histotripsy": "agarose_5,density=1024:10",
-    "gel25_laser": "agarose_5,density=1024:10",
-    "water_histotripsy": "water",
-    "water_laser": "water",
-    "pa_stiff_estrada": "polyacrylamide_10",
-    "pa_soft_A_E2_002": "polyacrylamide",
-    "pa_estrada_PA1": "polyacrylamide",
-    "pegda_s5": "density=1064:21",
-    "pegda_s1": "density=1064:21",
-    "pegda_s3": "density=1064:21",
-    "gelatin_10pct": "gelatin_10",
-    "peg8k_80pct_liquid": "peg8k_80",
-    "peg8k_20pct_liquid": "peg8k_20",
-    "agarose_5pct": "agarose_5",
-    "pegda_s2": "density=1064:21",
-    "pegda_s4": "density=1064:21",
-    "peg8k_60pct_liquid": "peg8k_60",
-    "peg8k_40pct_liquid": "peg8k_40",
-    "agarose_0p5pct": "agarose_0.5",
-}
-"""Set -> stated medium, in the order in which they run. PEGDA: 1064 kg/m^3 is the default of the sources' scripts, not a
-measured value; gel03 and gel25 are agarose of .3 and 2.5 % by inference, and lie between the two that are stated."""
+SETS: dict[str, str] = {name: own["medium"] for name, own in KNOWN["sets"].items()}
+"""Set -> stated medium, in the order of the page."""
 
 BASE = "nhkv"
 SEED = 0
@@ -222,9 +201,10 @@ def run_task(file: Path, task: str, most: int) -> Line:
     """The line of a set and a task, with its CPU time; paths are left out of what went wrong."""
     warnings.simplefilter("ignore")
     started = time.process_time()
-    line: Line = {}
+    name = file.stem
+    line: Line = {"set": name, "task": task, "stated": SETS[name], "max_curves": most}
     try:
-        line |= TASKS[task](file, most, SETS[file.stem])
+        line |= TASKS[task](file, most, SETS[name])
     except (ImrError, RuntimeError) as error:  # torch reports a singular matrix as the latter
         text = f"{type(error).__name__}: {error}"
         line["error"] = text.replace(f"{file.parent}/", "")
@@ -244,26 +224,18 @@ def main() -> None:
     show = commands.add_parser("table")
     show.add_argument("out", type=Path, metavar="OUT.jsonl")
     show.add_argument("page", type=Path, metavar="PAGE.md")
+    show.add_argument("--figures", type=Path, default=Path("docs/_static/measured"))
     args = parser.parse_args()
     if args.command == "table":
-        write_page(read_record(args.out), args.page)
+        write_page(read_record(args.out), args.page, args.figures)
         return
-    names = [name for name in SETS if name.startswith(tuple(args.sets.split(",")))]
-    pairs = [(name, task) for name in names for task in args.tasks.split(",")]
     jobs = {
         f"{name}/{task}": partial(run_task, args.folder / f"{name}.csv", task, args.max_curves)
-        for name, task in pairs
+        for name in SETS
+        for task in args.tasks.split(",")
+        if name.startswith(tuple(args.sets.split(",")))
     }
-    about = {
-        f"{name}/{task}": {
-            "set": name,
-            "task": task,
-            "stated": SETS[name],
-            "max_curves": args.max_curves,
-        }
-        for name, task in pairs
-    }
-    run_missing_jobs(args.out, jobs, about=about, workers=args.workers)
+    run_missing_jobs(args.out, jobs, workers=args.workers)
 
 
 if __name__ == "__main__":

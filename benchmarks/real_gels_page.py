@@ -1,106 +1,110 @@
-"""One readable page (Markdown) of a record of `real_gels.py`: controls, and a table of all sets."""
+"""One readable page (Markdown) of a record of `real_gels.py`, and a figure a set. The words are in
+`real_gels.md.jinja`; everything said of a set follows from the record and `records/real_gels.toml`.
+"""
 
+import os
+from math import sqrt
 from pathlib import Path
 from statistics import median
+from typing import Any
 
-from benchmarks.real_gels_controls import Record, controls, model
+import matplotlib.pyplot as plt
+from jinja2 import StrictUndefined, Template
+from matplotlib.figure import Figure
+
+from benchmarks.real_gels_controls import KNOWN, Record, controls, find_published, model
 from benchmarks.records import Line, write_table
+from imr_torch.drawing import DATA, MODEL, SECOND, TRUTH
+
+QUANTITIES = {"G": ("kPa", 1e-3), "mu": ("Pa s", 1.0)}
+STYLE = {
+    "svg.fonttype": "none",
+    "font.sans-serif": ["DejaVu Sans"],
+    "axes.autolimit_mode": "round_numbers",
+    "axes.grid": True,
+    "axes.grid.axis": "x",
+    "grid.linewidth": 0.4,
+    "xtick.bottom": False,
+    "ytick.left": False,
+}
+"""Text stays text, axes end at powers of ten, and remaking a figure gives the same bytes: with a salt
+of its own, no date.
+"""
 
 
-def write_page(rows: list[Line], path: Path) -> None:
-    """Write the page."""
+def write_page(rows: list[Line], path: Path, figures: Path) -> None:
+    """Write the page, and the figures into a folder of their own."""
     record: Record = {(row["set"], row["task"]): row for row in rows}
-    sets = list(dict.fromkeys(name for name, _ in record))
-    word = {True: "yes", False: "no", None: "open"}
-    checked = [(c.name, c.must, c.value, word[c.met]) for c in controls(record)]
-    parts = [
-        "# Real gels",
-        "## Controls",
-        write_table(("control", "must", "found", "met"), checked),
-        "## Sets",
-        write_table(
-            MODELS,
-            [_models(record[x, "characterize"]) for x in sets if (x, "characterize") in record],
-        ),
-        write_table(DIAGNOSES, [_diagnosis(record[x, "diagnose"]) for x in sets]),
-    ]
-    cpu = sum(row["cpu"] for row in rows)
-    parts.append(f"{len(sets)} sets, {len(rows)} lines, {cpu / 60.0:.0f} minutes of one processor.")
-    path.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
+    sets = [_read_set(record, name) for name in KNOWN["sets"] if (name, "diagnose") in record]
+    figures.mkdir(parents=True, exist_ok=True)
+    for own in sets:
+        with plt.rc_context(STYLE | {"svg.hashsalt": own["name"]}):
+            _draw_set(own).savefig(figures / f"{own['name']}.svg", metadata={"Date": None})
+        plt.close()
+    words = Path(__file__).with_name("real_gels.md.jinja").read_text(encoding="utf-8")
+    page = Template(words, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True).render(
+        sets=sets,
+        folder=Path(os.path.relpath(figures, path.parent)).as_posix(),
+        controls=write_table(("control", "must", "found", "met"), controls(record)),
+        values=KNOWN["values"],
+        quantities=QUANTITIES,
+        median=median,
+        rows=rows,
+    )
+    path.write_text(page + "\n", encoding="utf-8")
 
 
-MODELS = (
-    "set",
-    "stated medium",
-    "curves",
-    "most probable",
-    "G of NHKV (kPa)",
-    "mu (Pa s)",
-    "RMSE in R*",
-    "fit test",
-    "CPU (s)",
-)
-DIAGNOSES = (
-    "set",
-    "what it says",
-    "selected",
-    "share of the gap on unseen curves (90 %)",
-    "95 % of random libraries",
-    "left on unseen curves, median: base model; selected (curves)",
-    "G (kPa), with what the model may lack",
-    "CPU (s)",
-)
+def _read_set(record: Record, name: str) -> dict[str, Any]:
+    """What is known of a set, its diagnosis, and intervals and published values of both quantities."""
+    row = record[name, "diagnose"]
+    fitted = record.get((name, "characterize"), {})
+    triples = {
+        "characterize": model(fitted, "nhkv")["intervals"] if "models" in fitted else None,
+        "if the model is right": row.get("parameters"),
+        "with what it may lack": row.get("parameters_with_model_error"),
+    }
+    return KNOWN["sets"][name] | {
+        "name": name,
+        "row": row,
+        "intervals": {x: {key: own[x] for key, own in triples.items() if own} for x in QUANTITIES},
+        "published": {x: find_published(name, x) for x in QUANTITIES},
+    }
 
 
-def _models(row: Line) -> list[str]:
-    """Parameters and model probabilities of a set."""
-    if "error" in row:
-        return [row["set"], row["stated"], "", row["error"], *[""] * 5]
-    best, p = max(row["model_probabilities"].items(), key=lambda item: item[1])
-    own = row["models"][row["best"]]
-    test = row["fit_test"]
-    return [
-        row["set"],
-        row["stated"],
-        f"{len(row['experiments'])}{', R_inf assumed' if row['rest_assumed'] else ''}",
-        f"{best.split('+')[0]} {p:.2f}",
-        _interval([1e-3 * x for x in model(row, "nhkv")["intervals"]["G"]]),
-        _interval(own["intervals"]["mu"]) if "mu" in own["intervals"] else "",
-        f"{own['rmse']:.3f}",
-        "" if test is None or test["p_value"] is None else f"p {test['p_value']:.1g}",
-        f"{row['cpu']:.0f}",
-    ]
-
-
-def _interval(values: list[float]) -> str:
-    low, middle, high = values
-    return f"{middle:.3g} ({low:.3g}-{high:.3g})"
-
-
-def _diagnosis(row: Line) -> list[str]:
-    """What the diagnosis of a set says."""
-    if "gap" not in row:
-        said = row.get("error") or row["skipped"]
-        return [row["set"], said, *[""] * 5, f"{row['cpu']:.0f}"]
-    found = row["shrinkage"] or {}
-    share = found.get("share")
-    wide = row["parameters_with_model_error"]
-    return [
-        row["set"],
-        row["headline"],
-        ", ".join(row["selected"]),
-        "" if not share else f"{share[1]:.2f} ({share[0]:.2f} to {share[2]:.2f})",
-        "" if not share else f"{found['placebo_95']:.2f}",
-        _left(row),
-        "" if not wide else _interval([1e-3 * x for x in wide["G"]]),
-        f"{row['cpu']:.0f}",
-    ]
-
-
-def _left(row: Line) -> str:
-    """What the unseen curves leave, in units of .004 in R* and .15 frames of jitter."""
-    left = row.get("left")
-    if not left:
-        return ""
-    base, selected = (median(left[name]) for name in ("base", "selected"))
-    return f"{base:.1f}; {selected:.1f} ({len(left['base'])})"
+def _draw_set(own: dict[str, Any]) -> Figure:
+    """Intervals of G and mu beside what is published, and what unseen curves leave."""
+    panels = {}
+    for quantity, (unit, scale) in QUANTITIES.items():
+        bars = [
+            (label, triple, DATA if label == "characterize" else MODEL)
+            for label, triple in own["intervals"][quantity].items()
+        ]
+        for x in own["published"][quantity]:
+            if x["ends"]:
+                low, high = x["ends"]
+                color = SECOND if x["fit"] else TRUTH
+                bars.append((x["reading"] or "published", (low, sqrt(low * high), high), color))
+        panels[f"{quantity} ({unit})"] = scale, bars
+    left = own["row"].get("left") or {}
+    panels["left on unseen curves (standard deviations)"] = (
+        1.0,
+        [(key, (min(x), median(x), max(x)), MODEL) for key, x in left.items()],
+    )
+    drawn = {title: panel for title, panel in panels.items() if panel[1]}
+    tall = sum(0.22 * len(bars) + 0.5 for _, bars in drawn.values())
+    figure = plt.figure(figsize=(5.0, tall))
+    top = tall
+    for title, (scale, bars) in drawn.items():
+        top -= 0.22 * len(bars)
+        ax = figure.add_axes((0.38, top / tall, 0.58, 0.22 * len(bars) / tall))
+        top -= 0.5
+        for y, (_, triple, color) in enumerate(bars):
+            low, middle, high = (scale * x for x in triple)
+            ax.plot([low, high], [y, y], color=color, lw=3, alpha=0.5)
+            ax.plot(middle, y, "o", color=color, ms=5)
+        ax.set(xscale="log", xlabel=title, ylim=(len(bars) - 0.5, -0.5))
+        ax.set_yticks(range(len(bars)), [label for label, _, _ in bars])
+        ax.xaxis.set_major_formatter("{x:g}")
+        ax.minorticks_off()  # few marks and no frame: the file is small
+        ax.set_frame_on(False)
+    return figure

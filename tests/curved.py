@@ -1,7 +1,7 @@
 """A simulator with a curved response, whose posterior over two parameters is a banana (with one peak), and its moments by quadrature; errors of moments of draws."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -10,12 +10,12 @@ from imr_torch.assimilate import ImportanceSample, ModelFit
 from imr_torch.float64 import linspace
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import ExperimentBatch, predict
-from imr_torch.simulate import Conditions, Solution
+from tests.formula import FormulaSimulator
 from tests.linear import MEANS, SDS, LinearSimulator
 
 
 @dataclass(frozen=True)
-class CurvedSimulator:
+class CurvedSimulator(FormulaSimulator):
     """The linear simulator, shown ``mu + bend sd_mu ((G - mean_G)/sd_G)^2`` in place of mu, with G itself half mute.
 
     Args:
@@ -25,18 +25,14 @@ class CurvedSimulator:
 
     bend: float
     mute: float = 0.4
-    conditions: Conditions = field(default_factory=Conditions)
 
-    def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+    def formula(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Tensor:
         g, mu = PARAMETERS.index(["G", "mu"])
         standard = (parameters[..., g] - MEANS["G"]) / SDS["G"]
         shown = parameters.clone()
         shown[..., mu] = parameters[..., mu] + self.bend * SDS["mu"] * standard.square()
         shown[..., g] = MEANS["G"] + self.mute * SDS["G"] * standard
-        return LinearSimulator()(shown, designs, times)
-
-    def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
-        return self(parameters, designs, times)
+        return LinearSimulator().formula(shown, designs, times)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import torch
 from imr_torch.float64 import arange, linspace, randn
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch
-from tests.linear import NOISE, LinearSimulator, prior, tensor
+from tests.linear import NOISE, LinearSimulator, exact, prior, tensor
 
 PART = prior(("nhkv",)).models[0]
 
@@ -41,3 +41,15 @@ def drifting(seed: int, *, alone: bool = False) -> tuple[ExperimentBatch, torch.
         for number, curve in enumerate(seen)
     )
     return ExperimentBatch(shots, NOISE), gel if alone else gel[0]
+
+
+def hold(batch: ExperimentBatch, gel: torch.Tensor) -> list[bool]:
+    """Whether exact 90 % intervals by the batch's own law hold the gel."""
+    found = exact(PART, batch, Slow())
+    return ((gel - found.mean).abs() < 1.645 * found.covariance.diagonal().sqrt()).tolist()
+
+
+def assert_that_only_widened_hold(inside: dict[str, list[bool]]) -> None:
+    covered = {kind: sum(rows) / len(rows) for kind, rows in inside.items()}
+    assert covered["independent"] < 0.75
+    assert 0.8 < covered["widened"] < 0.97

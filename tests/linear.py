@@ -1,7 +1,7 @@
 """A simulator that is linear in the gel and in two nuisances, and the exact posterior and evidence that follow from it."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
@@ -9,13 +9,14 @@ from torch import Tensor
 from imr_torch.float64 import arange, eye, rand, randn, zeros
 from imr_torch.material import PARAMETERS, Belief, ModelBelief, TruncatedNormal, material
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance
-from imr_torch.simulate import Conditions, Solution, Status, broadcast_batch
+from tests.formula import FormulaSimulator
 
 MEANS = {"G": 5000.0, "mu": 0.15, "alpha": 0.4}
 SDS = {"G": 1200.0, "mu": 0.06, "alpha": 0.3}
 MODELS = ("newtonian", "nhkv", "gen_qkv")
 NOISE = Noise(floor=0.05, slope=0.0, drift=0.0)
 CORRELATED = Noise(floor=0.05, slope=0.0, drift=0.0, correlation_time=0.3)
+CLOCK = Nuisance(time_zero=0.2)
 BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
 
 
@@ -27,7 +28,7 @@ _MANY = 1000  # rows from which on those of one Weber number are computed togeth
 
 
 @dataclass(frozen=True)
-class LinearSimulator:
+class LinearSimulator(FormulaSimulator):
     """``R = .6 + .3 t + .5 R_inf* + sum_j b_j(frame, We) theta_j / scale_j``: exactly linear, nuisances included.
 
     The columns depend on the number of the frame and not on its time, so a shift of the clock adds
@@ -44,7 +45,6 @@ class LinearSimulator:
     units: dict[str, float] = field(default_factory=lambda: dict(SDS))
     limit: dict[str, float] = field(default_factory=dict)
     fails: bool = False
-    conditions: Conditions = field(default_factory=Conditions)
     time_slope: float = 0.3
     rest_slope: float = 0.5
 
@@ -74,22 +74,15 @@ class LinearSimulator:
             gel[rows] = parameters[rows][:, which] @ own.mT
         return gel
 
-    def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
-        shape, parameters, designs, times = broadcast_batch(parameters, designs, times)
+    def formula(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Tensor:
         gel = self._gel(parameters, designs[:, 0], times.shape[-1])
-        radius = 0.6 + self.time_slope * times + self.rest_slope * designs[:, 1:2] + gel
-        bad = torch.full(radius.shape[:1], self.fails)
+        return 0.6 + self.time_slope * times + self.rest_slope * designs[:, 1:2] + gel
+
+    def bad(self, parameters: Tensor) -> Tensor:
+        bad = torch.full(parameters.shape[:1], self.fails)
         for name, top in self.limit.items():
             bad = bad | (parameters[:, PARAMETERS.index([name])[0]] > top)
-        radius = torch.where(bad[:, None], torch.nan, radius).reshape(*shape, -1)
-        status = torch.where(bad, int(Status.NON_FINITE), int(Status.DONE)).reshape(shape)
-        none = torch.zeros_like(radius)
-        return Solution(
-            times.reshape(*shape, -1), radius, none, none, status, torch.ones_like(status)
-        )
-
-    def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
-        return self(parameters, designs, times)
+        return bad
 
 
 def prior(models: tuple[str, ...] = MODELS, *, correlated: bool = False) -> Belief:
@@ -141,6 +134,17 @@ def experiments(
             )
         )
     return ExperimentBatch(tuple(made), noise)
+
+
+BATCHES = {
+    "one experiment": experiments(1),
+    "several": experiments(3),
+    "correlated noise": experiments(3, noise=CORRELATED),
+    "uncertain clock": experiments(3, nuisance=CLOCK),
+    "uncertain clock and rest radius": experiments(4, nuisance=BOTH),
+    "both, correlated": experiments(3, nuisance=BOTH, noise=CORRELATED),
+    "scaled noise": experiments(2, noise=replace(NOISE, scale=3.0)),
+}
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Folders of campaigns whose journals were changed."""
 
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 from benchmarks.bad_inputs.beliefs import at, leaves, replaced
 from benchmarks.bad_inputs.case import MODELS, QUICK, Case, good
 from imr_torch.campaign import Journal
+from tests.journals import rewritten
 
 
 def journals(whole: Path) -> Iterator[Case]:
@@ -142,16 +143,6 @@ def journals(whole: Path) -> Iterator[Case]:
                 )
                 yield case(
                     f"line {number + 1} {'.'.join(map(str, path))} = {value!r}, checksums right",
-                    lambda gel, new=new: rewrite(gel, new),
+                    lambda gel, new=new: rewritten(gel, new),
                     damaged=soft,
                 )
-
-
-def rewrite(folder: Path, events: Sequence[dict[str, Any]]) -> None:
-    """A journal of other events, with checksums that fit."""
-    (folder / "journal.jsonl").unlink()
-    journal = Journal(folder)
-    for event in events:
-        journal.append(
-            event["event"], **{key: value for key, value in event.items() if key != "event"}
-        )

@@ -182,13 +182,12 @@ def write_scores(lines: Sequence[Line]) -> str:
 
 def add_task_arguments(parser: argparse.ArgumentParser) -> None:
     """What says which sets are made."""
-    parser.add_argument("out", type=Path, metavar="OUT.jsonl")
+    add_out(parser)
     parser.add_argument("--sets", type=int, default=67, help="of each kind (default 67)")
     parser.add_argument("--size", default="3x10", metavar="DxR", help="designs x repeats")
     parser.add_argument("--physics", choices=PHYSICS, default="transport")
     parser.add_argument("--truths", choices=TRUTHS, default=TRUTHS[0], help="how truths are solved")
     parser.add_argument("--seed", type=int, default=0, help="of the first set; others count up")
-    parser.add_argument("--workers", type=int, default=1, help="processes, a set at a time in each")
 
 
 def run_tasks(

@@ -34,6 +34,8 @@ def generate(docs: Path) -> None:
         out.write(
             "index.md", measured((ROOT / "benchmarks" / "RESULTS.md").read_text(encoding="utf-8"))
         )
+        gels = (ROOT / "benchmarks" / "REAL_GELS.md").read_text(encoding="utf-8")
+        out.write("real_gels.md", measured_gels(gels))
         out.write("changelog.md", changes((ROOT / "CHANGELOG.md").read_text(encoding="utf-8")))
 
 
@@ -57,9 +59,16 @@ def measured(text: str) -> str:
         "(*)", r"(\*)"
     )  # two of them in a line would set what is between them in italics
     return (
-        starred.replace("# Results\n", f"# Measured\n\n{READ}", 1)
-        + "\n```{toctree}\n:hidden:\n\nchangelog\n```\n"
+        starred.replace("# Results\n", f"# Measured\n\n{READ}", 1).replace(
+            "(REAL_GELS.md)", "(real_gels.md)"
+        )
+        + "\n```{toctree}\n:hidden:\n\nreal_gels\nchangelog\n```\n"
     )
+
+
+def measured_gels(text: str) -> str:
+    """The page of measured gels; its figures and the results are elsewhere in the documentation."""
+    return text.replace("(../docs/_static/", "(../_static/").replace("(RESULTS.md#", "(index.md#")
 
 
 def changes(text: str) -> str:

@@ -2,7 +2,7 @@
 it began in.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import pytest
 import torch
@@ -14,14 +14,15 @@ from imr_torch.assimilate.basins import deeper_nuisances, other_basins
 from imr_torch.float64 import linspace, ones, tensor, zeros
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, predict
-from imr_torch.simulate import EARLIEST, Conditions, Solution, Status, broadcast_batch
+from imr_torch.simulate import EARLIEST
+from tests.formula import FormulaSimulator
 from tests.linear import BOTH, MEANS, NOISE, SDS, experiments, prior
 
 PERIOD = 0.3  # 1.5 prior standard deviations of time zero
 
 
 @dataclass(frozen=True)
-class WavySimulator:
+class WavySimulator(FormulaSimulator):
     """Radii linear in the gel and in R_inf*, with a damped wave in time on them, so that time zero has a local minimum in each period.
 
     Args:
@@ -29,29 +30,17 @@ class WavySimulator:
     """
 
     fails: bool = False
-    conditions: Conditions = field(default_factory=Conditions)
 
-    def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
-        shape, parameters, designs, times = broadcast_batch(parameters, designs, times)
+    def formula(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Tensor:
         gel = torch.zeros_like(times)
         for j, name in enumerate(("G", "mu")):
             size = parameters[:, PARAMETERS.index([name])] / SDS[name]
             gel = gel + 0.1 * size * torch.cos((6.0 + 3.0 * j) * times + 0.003 * designs[:, :1] + j)
         wave = 0.3 * torch.exp(-times) * torch.cos(2.0 * torch.pi * times / PERIOD)
-        radius = (0.6 + 0.3 * times + 0.5 * designs[:, 1:] + gel + wave).reshape(*shape, -1)
-        status = torch.full(shape, int(Status.NON_FINITE if self.fails else Status.DONE))
-        none = torch.zeros_like(radius)
-        return Solution(
-            times.reshape(radius.shape),
-            radius.where(status[..., None] == Status.DONE, torch.nan),
-            none,
-            none,
-            status,
-            status,
-        )
+        return 0.6 + 0.3 * times + 0.5 * designs[:, 1:] + gel + wave
 
-    def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
-        return self(parameters, designs, times)
+    def bad(self, parameters: Tensor) -> Tensor:
+        return torch.full(parameters.shape[:1], self.fails)
 
 
 TRUTH = tensor([[0.0, 0.4, 0.2], [0.0, -0.7, -0.5], [0.0, 0.1, 0.6]])

@@ -131,12 +131,17 @@ def test_that_a_minimum_is_one_under_the_solver_steps_of_the_leader_and_under_no
     assert float(other.whitened_gradient) > 3.0 * search.options.gradient
 
 
+def barred() -> Posterior:
+    """Of gels that fail from nearly half of the way to the minimum on."""
+    simulator = Circle(limit={"mu": MEANS["mu"] + 0.8 * SDS["mu"]})
+    return Posterior(prior(("nhkv",)).models[0], nearly_central(), simulator)
+
+
 def test_that_a_point_where_bubbles_fail_is_not_taken():
     """The way to the minimum is barred at nearly half of it; the point ends on this side, lower
     than it began.
     """
-    barred = Circle(limit={"mu": MEANS["mu"] + 0.8 * SDS["mu"]})
-    posterior = Posterior(prior(("nhkv",)).models[0], nearly_central(), barred)
+    posterior = barred()
     begun = Point(STARTS[0], posterior.mean_nuisances())
     ended = descend_from(posterior, begun, begun, gradient=1e-3, iterations=30)
     assert ended.cost < -float(posterior.log_joint(begun))
@@ -144,8 +149,7 @@ def test_that_a_point_where_bubbles_fail_is_not_taken():
 
 
 def test_that_a_search_ends_where_failing_bubbles_bar_every_way_down():
-    barred = Circle(limit={"mu": MEANS["mu"] + 0.8 * SDS["mu"]})
-    posterior = Posterior(prior(("nhkv",)).models[0], nearly_central(), barred)
+    posterior = barred()
     start = Point(STARTS[0], posterior.mean_nuisances())
     search = ModelSearch(posterior, [start], SearchOptions(iterations=200), False, generator(0))
     search.find_lowest()

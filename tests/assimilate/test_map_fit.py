@@ -3,6 +3,7 @@
 import math
 import warnings
 from dataclasses import dataclass, replace
+from functools import partial
 
 import pytest
 import torch
@@ -22,7 +23,9 @@ from imr_torch.material import PARAMETERS, Belief, TruncatedNormal
 from imr_torch.observe import ExperimentBatch, Noise, Nuisance, SimulatedLaboratory, predict
 from imr_torch.simulate import PolytropicSimulator, Solution
 from tests.linear import (
+    BATCHES,
     BOTH,
+    CLOCK,
     CORRELATED,
     MEANS,
     NOISE,
@@ -36,7 +39,6 @@ from tests.linear import (
 )
 
 OPTIONS = SearchOptions(raw_samples=24)
-CLOCK = Nuisance(time_zero=0.2)
 
 
 def fitted(
@@ -56,17 +58,6 @@ def assert_exact(fit: ModelFit, truth: Exact, *, atol: float = 3e-7) -> None:
     # rounding of the differences leaves 2e-7 posterior standard deviations of gradient
     error = (fit.nuisance_chol.mT @ (fit.nuisances - truth.nuisances)[..., None])[..., 0]
     assert float(error.abs().max()) < 1e-5  # standard deviations; a certificate allows 1e-3
-
-
-BATCHES = {
-    "one experiment": experiments(1),
-    "several": experiments(3),
-    "correlated noise": experiments(3, noise=CORRELATED),
-    "uncertain clock": experiments(3, nuisance=CLOCK),
-    "uncertain clock and rest radius": experiments(4, nuisance=BOTH),
-    "both, correlated": experiments(3, nuisance=BOTH, noise=CORRELATED),
-    "scaled noise": experiments(2, noise=replace(NOISE, scale=3.0)),
-}
 
 
 @pytest.mark.parametrize("correlated", [False, True], ids=["standard prior", "correlated prior"])
@@ -387,17 +378,16 @@ def test_that_the_gel_is_found_within_its_interval(bubbles):
     assert bool((fit.posterior.sds < 0.1 * fit.prior.sds).all())
 
 
+def cost_of(fit: ModelFit, batch: ExperimentBatch, v: Tensor, w: Tensor) -> Tensor:
+    prediction = predict(PolytropicSimulator(), fit.parameters(v), batch, w * batch.nuisance_sds)
+    likelihood = batch.log_likelihood(torch.where(batch.mask, prediction, 0.0)).sum(-1)
+    return 0.5 * v.square().sum(-1) + 0.5 * w.square().sum((-2, -1)) - likelihood
+
+
 def test_that_no_neighbour_of_the_fit_costs_less(bubbles):
     """Moves of a fifth of a standard deviation along each axis of the posterior, nuisances following or not."""
     _, batch, fit = bubbles
-
-    def cost(v: Tensor, w: Tensor) -> Tensor:
-        prediction = predict(
-            PolytropicSimulator(), fit.parameters(v), batch, w * batch.nuisance_sds
-        )
-        likelihood = batch.log_likelihood(torch.where(batch.mask, prediction, 0.0)).sum(-1)
-        return 0.5 * v.square().sum(-1) + 0.5 * w.square().sum((-2, -1)) - likelihood
-
+    cost = partial(cost_of, fit, batch)
     moves = 0.2 * torch.cat((fit.chol.mT, -fit.chol.mT))
     follow = (fit.nuisance_response @ moves[:, None, :, None])[..., 0]
     for w in (fit.nuisances.expand(4, -1, -1), fit.nuisances + follow):
@@ -411,16 +401,7 @@ def test_that_the_stated_covariance_is_the_curvature_of_the_exact_cost(bubbles):
     _, batch, fit = bubbles
     moves = torch.cat((fit.chol.mT, -fit.chol.mT))
     w = fit.nuisances + (fit.nuisance_response @ moves[:, None, :, None])[..., 0]
-    prediction = predict(
-        PolytropicSimulator(), fit.parameters(fit.mean + moves), batch, w * batch.nuisance_sds
-    )
-    likelihood = batch.log_likelihood(torch.where(batch.mask, prediction, 0.0)).sum(-1)
-    rise = (
-        0.5 * (fit.mean + moves).square().sum(-1)
-        + 0.5 * w.square().sum((-2, -1))
-        - likelihood
-        - fit.cost
-    )
+    rise = cost_of(fit, batch, fit.mean + moves, w) - fit.cost
     assert_close(rise, full((4,), 0.5), rtol=0.0, atol=0.1)
 
 

@@ -2,8 +2,6 @@
 must not stay on the wrong one.
 """
 
-from dataclasses import dataclass, field
-
 import pytest
 import torch
 from torch import Tensor
@@ -13,7 +11,7 @@ from imr_torch.float64 import arange, linspace, randn
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise
 from imr_torch.random import generator
-from imr_torch.simulate import Conditions, Solution, Status, broadcast_batch
+from tests.formula import FormulaSimulator
 from tests.linear import MEANS, SDS, prior, tensor
 
 TIMES = linspace(0.0, 1.8, 10)
@@ -21,31 +19,17 @@ NOISE = Noise(floor=0.003, slope=0.0, drift=0.0)
 CASES = 24
 
 
-@dataclass(frozen=True)
-class CuspedSimulator:
+class CuspedSimulator(FormulaSimulator):
     """A collapse as a cusp, at a time that G sets, and a rebound whose height mu sets."""
 
-    conditions: Conditions = field(default_factory=Conditions)
-
-    def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
-        shape, parameters, designs, times = broadcast_batch(parameters, designs, times)
+    def formula(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Tensor:
         g, mu = (
             (parameters[:, PARAMETERS.index([name])] - MEANS[name]) / SDS[name]
             for name in ("G", "mu")
         )
         collapse = 1.0 + 0.2 * g
         rebound = torch.where(times > collapse, 0.8 + 0.1 * mu, 1.0)
-        radius = (0.1 + 0.9 * rebound * ((times - collapse).abs() / collapse).pow(0.4)).reshape(
-            *shape, -1
-        )
-        status = torch.full(shape, int(Status.DONE))
-        none = torch.zeros_like(radius)
-        return Solution(
-            times.reshape(*shape, -1), radius, none, none, status, torch.ones_like(status)
-        )
-
-    def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
-        return self(parameters, designs, times)
+        return 0.1 + 0.9 * rebound * ((times - collapse).abs() / collapse).pow(0.4)
 
 
 def wrong_minima() -> int:

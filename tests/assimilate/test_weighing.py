@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from torch import Tensor
 from torch.testing import assert_close
 
 from imr_torch.assimilate import (
@@ -41,6 +42,14 @@ def simple():
 def changed(assimilation: Assimilation, **fields) -> Assimilation:
     """The assimilation with its one fit altered."""
     return replace(assimilation, fits=(replace(assimilation.fits[0], **fields),))
+
+
+def assert_moments(sample, truth) -> Tensor:
+    """Within four standard errors; returns the true standard deviations."""
+    assert bool(((sample.mean - truth.mean).abs() < 4.0 * mean_error(sample)).all())
+    sds = truth.covariance.diagonal().sqrt()
+    assert bool(((sample.covariance.diagonal().sqrt() - sds).abs() < 4.0 * sd_error(sample)).all())
+    return sds
 
 
 def test_that_a_gaussian_posterior_is_trusted_in_one_round(simple):
@@ -81,9 +90,7 @@ def test_that_a_wrong_gaussian_is_repaired_to_the_exact_posterior(simple, width,
     assert right.verdict is Verdict.REPAIRED
     assert "repaired" in right.trust
     assert sample.rounds > 1 or width > 1.0
-    assert bool(((sample.mean - truth.mean).abs() < 4.0 * mean_error(sample)).all())
-    sds = truth.covariance.diagonal().sqrt()
-    assert bool(((sample.covariance.diagonal().sqrt() - sds).abs() < 4.0 * sd_error(sample)).all())
+    assert_moments(sample, truth)
     assert sample.log_evidence == pytest.approx(
         truth.log_evidence, abs=5.0 * sample.log_evidence_error
     )
@@ -134,9 +141,7 @@ def test_that_moments_of_a_curved_posterior_equal_quadrature(bend):
     truth = quadrature(fit, batch, simulator)
     sample = fit.sample
     assert fit.verdict is (Verdict.REPAIRED if bend else Verdict.TRUSTED)
-    assert bool(((sample.mean - truth.mean).abs() < 4.0 * mean_error(sample)).all())
-    sds = truth.covariance.diagonal().sqrt()
-    assert bool(((sample.covariance.diagonal().sqrt() - sds).abs() < 4.0 * sd_error(sample)).all())
+    sds = assert_moments(sample, truth)
     assert sample.log_evidence == pytest.approx(
         truth.log_evidence, abs=4.0 * sample.log_evidence_error
     )

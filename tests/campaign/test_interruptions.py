@@ -10,24 +10,14 @@ import pytest
 from benchmarks.interruptions import Disk, compare, forked, left_over
 from imr_torch.campaign import Campaign, CampaignSettings, Random
 from imr_torch.cli import main
-from imr_torch.design import DesignSpace, Plan
-from imr_torch.float64 import linspace
-from imr_torch.material import PARAMETERS
-from imr_torch.observe import SimulatedLaboratory
+from imr_torch.design import DesignSpace
 from imr_torch.random import child
+from tests.campaign.test_telling import LABORATORY, PLAN
 from tests.journals import cut
-from tests.linear import NOISE, LinearSimulator, prior, tensor
+from tests.linear import LinearSimulator, prior, tensor
 from tests.stubs import StubLearner
 
-PLAN = Plan(linspace(0.1, 2.0, 9), repeats=2, noise=NOISE, collapses=None)
 SETTINGS = CampaignSettings(DesignSpace(), PLAN, Random(), StubLearner())
-LABORATORY = SimulatedLaboratory(
-    LinearSimulator(),
-    PARAMETERS.pack({"G": 5600.0, "mu": 0.18}),
-    noise=NOISE,
-    repeats=2,
-    times=PLAN.times,
-)
 needs_fork = pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are forked")
 
 

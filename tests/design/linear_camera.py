@@ -1,16 +1,16 @@
 """A camera that is linear in gel, clock and rest radius, and the information that follows from it by dense algebra."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from imr_torch.design import Plan
+from imr_torch.design import ExpectedInformationGain, Laplace, Plan
 from imr_torch.float64 import eye, full, linspace, tensor, zeros
 from imr_torch.material import PARAMETERS, Belief, ModelBelief, TruncatedNormal
 from imr_torch.observe import Noise
-from imr_torch.simulate import Conditions, Solution, Status, broadcast_batch
+from tests.formula import FormulaSimulator
 
 SIGMA = 0.05
 TIMES = linspace(0.1, 2.0, 7)
@@ -21,7 +21,7 @@ REST_SLOPE = 0.5
 
 
 @dataclass(frozen=True)
-class LinearCamera:
+class LinearCamera(FormulaSimulator):
     """``R = 1 - .4 t + .5 R_inf* + B(frame, We) (G, mu, alpha) / units``.
 
     ``B`` depends on the number of the frame and not on its time, so a shift of the clock is linear.
@@ -33,7 +33,6 @@ class LinearCamera:
 
     units: tuple[float, float, float] = (1.0, 1.0, 1.0)
     limit: float = math.inf
-    conditions: Conditions = field(default_factory=Conditions)
 
     def columns(self, weber: Tensor) -> Tensor:
         """``... x 7 x 3`` for ``...`` Weber numbers."""
@@ -43,19 +42,12 @@ class LinearCamera:
             (torch.sin(w * k), torch.cos(2.0 * w * k), 0.6 * k.expand(*w.shape[:-1], 7)), -1
         ) / torch.tensor(self.units)
 
-    def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
-        shape, parameters, designs, times = broadcast_batch(parameters, designs, times)
+    def formula(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Tensor:
         gel = (self.columns(designs[:, 0]) @ parameters[:, INDEX, None])[..., 0]
-        radius = 1.0 + TIME_SLOPE * times + REST_SLOPE * designs[:, 1:] + gel
-        bad = parameters[:, INDEX[0]] > self.limit
-        radius = torch.where(bad[:, None], torch.nan, radius).reshape(*shape, -1)
-        status = torch.where(bad, int(Status.NON_FINITE), int(Status.DONE)).reshape(shape)
-        return Solution(
-            times.reshape(*shape, -1), radius, radius, radius, status, torch.ones_like(status)
-        )
+        return 1.0 + TIME_SLOPE * times + REST_SLOPE * designs[:, 1:] + gel
 
-    def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
-        return self(parameters, designs, times)
+    def bad(self, parameters: Tensor) -> Tensor:
+        return parameters[:, INDEX[0]] > self.limit
 
 
 def linear_gaussian_gain(sensitivity: Tensor, noise: Tensor) -> Tensor:
@@ -133,3 +125,9 @@ def exact(belief: Belief, designs: Tensor, how: Plan) -> float:
         for part in belief.models
     ]
     return float(belief.log_probabilities.exp() @ torch.stack(gains))
+
+
+def acquisition(belief=ONE, estimator=None, **options):
+    return ExpectedInformationGain(
+        belief, LinearCamera(), estimator or Laplace(draws=4), plan=plan(), **options
+    )

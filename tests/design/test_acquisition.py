@@ -19,18 +19,12 @@ from imr_torch.design import (
 )
 from imr_torch.errors import InputDataError, UnsupportedError
 from imr_torch.float64 import tensor
-from tests.design.linear_camera import DESIGNS, ONE, TWO, LinearCamera, exact, plan
+from tests.design.linear_camera import DESIGNS, ONE, TWO, LinearCamera, acquisition, exact, plan
 
 THIRD = tensor([[150.0, 0.16]])
 NO_GRAD = {"with_grad": False, "maxiter": 5}
 ENTROPY = -(0.7 * math.log(0.7) + 0.3 * math.log(0.3))
 EVERY = [Laplace(draws=6, rivals=6), Laplace(draws=6, rivals=6, refinements=0)]
-
-
-def acquisition(belief=ONE, estimator=None, **options):
-    return ExpectedInformationGain(
-        belief, LinearCamera(), estimator or Laplace(draws=4), plan=plan(), **options
-    )
 
 
 @pytest.mark.parametrize("shape", [(1,), (3,), (2, 3), (0,)])

@@ -15,17 +15,11 @@ from imr_torch.design import (
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.float64 import rand, tensor
 from imr_torch.observe import Noise
-from tests.design.linear_camera import DESIGNS, ONE, TWO, LinearCamera, exact, plan
+from tests.design.linear_camera import DESIGNS, ONE, TWO, LinearCamera, acquisition, exact, plan
 from tests.design.test_optimizer import PartlyFailing
 
 QUICK = {"evaluations": 5, "initial": 4}
 NOISY = plan(noise=Noise(slope=0.0, drift=0.0, floor=0.2))
-
-
-def acquisition(belief=ONE, estimator=None, **options):
-    return ExpectedInformationGain(
-        belief, LinearCamera(), estimator or Laplace(draws=4), plan=plan(), **options
-    )
 
 
 def test_that_a_search_leaves_the_acquisition_as_it_was():

@@ -160,9 +160,12 @@ def test_that_the_results_say_which_code_made_each_record():
     )
 
 
-@pytest.mark.parametrize(
+each_tutorial = pytest.mark.parametrize(
     "path", sorted((ROOT / "tutorials").glob("[0-9]*.py")), ids=lambda path: path.stem
 )
+
+
+@each_tutorial
 def test_that_the_notebook_holds_the_cells_of_its_script_and_output(path):
     pytest.importorskip("jupytext")
     from tools.notebooks import cells
@@ -174,9 +177,7 @@ def test_that_the_notebook_holds_the_cells_of_its_script_and_output(path):
     assert str(ROOT) not in text
 
 
-@pytest.mark.parametrize(
-    "path", sorted((ROOT / "tutorials").glob("[0-9]*.py")), ids=lambda path: path.stem
-)
+@each_tutorial
 def test_that_a_tutorial_says_what_it_is_good_for_and_how_long_it_takes(path):
     first = " ".join(
         line.lstrip("# ") for line in path.read_text().partition("# %%\n")[0].splitlines()

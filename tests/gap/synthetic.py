@@ -5,7 +5,7 @@ import torch
 from imr_torch.assimilate import ModelFit, SearchOptions, assimilate
 from imr_torch.float64 import linspace, ones, tensor, zeros
 from imr_torch.gap.hypotheses import Hypothesis
-from imr_torch.material import PARAMETERS, Belief, wide_prior
+from imr_torch.material import LIBRARY, PARAMETERS, Belief, wide_prior
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, predict
 from imr_torch.random import generator
 from imr_torch.simulate import PolytropicSimulator
@@ -52,3 +52,15 @@ def fit(batch: ExperimentBatch, hypothesis: Hypothesis | None = None, **effect: 
     belief = Belief((prior,), zeros(1))
     options = SearchOptions(starts=2)
     return assimilate(belief, batch, SIMULATOR, seed=0, options=options, starts=[starts]).fits[0]
+
+
+CAUSES = {"strain_stiffening": {"alpha": 0.05}, "damage": {"damage": 0.02}}
+"""Two that are alike in one shot."""
+
+
+def fit_alike(repeats: int) -> dict[str, ModelFit]:
+    batch = shoot({"alpha": 0.05}, DESIGNS[:1], repeats=repeats, end=2.0)
+    return {
+        name: fit(batch, Hypothesis(BASE, (LIBRARY[name],)), **start)
+        for name, start in CAUSES.items()
+    }

@@ -10,16 +10,13 @@ from torch import Tensor
 from imr_torch.assimilate import ModelFit
 from imr_torch.design import NextDesign, Plan
 from imr_torch.float64 import linspace, ones, randn, tensor
-from imr_torch.gap.hypotheses import Hypothesis
 from imr_torch.gap.identity_design import identity_design, judge_design, plan_of
-from imr_torch.material import LIBRARY
 from imr_torch.observe import Experiment, ExperimentBatch, Film, Noise, Nuisance, predict
 from imr_torch.random import generator
-from tests.gap.synthetic import BASE, DESIGNS, SIMULATOR, fit, shoot
+from tests.gap.synthetic import CAUSES, SIMULATOR, fit_alike
 
 NOISE = Noise(scale=4.0)
 PLAN = Plan(times=linspace(0.0, 2.0, 21), noise=NOISE, collapses=None)
-CAUSES = {"strain_stiffening": {"alpha": 0.05}, "damage": {"damage": 0.02}}
 EVEN = dict.fromkeys(CAUSES, 0.5)
 UNEVEN = {"strain_stiffening": 0.7, "damage": 0.3}
 DESIGN = tensor([800.0, 0.15])
@@ -29,11 +26,7 @@ POOR = tensor([100.0, 0.3])
 @pytest.fixture(scope="module")
 def fits():
     """Two causes that are alike in one shot."""
-    batch = shoot({"alpha": 0.05}, DESIGNS[:1], repeats=4, end=2.0)
-    return {
-        name: fit(batch, Hypothesis(BASE, (LIBRARY[name],)), **start)
-        for name, start in CAUSES.items()
-    }
+    return fit_alike(repeats=4)
 
 
 def ahead(

@@ -6,19 +6,14 @@ from imr_torch.float64 import linspace, tensor, zeros
 from imr_torch.gap.hypotheses import Hypothesis
 from imr_torch.gap.identity_design import remaining_causes
 from imr_torch.material import LIBRARY, Belief
-from tests.gap.synthetic import BASE, DESIGNS, SIMULATOR, fit, shoot
+from tests.gap.synthetic import BASE, DESIGNS, SIMULATOR, fit, fit_alike, shoot
 
 PLAN = Plan(times=linspace(0.0, 2.0, 31))
-CAUSES = {"strain_stiffening": {"alpha": 0.05}, "damage": {"damage": 0.02}}
 
 
 @pytest.fixture(scope="module")
 def fits():
-    batch = shoot({"alpha": 0.05}, DESIGNS[:1], repeats=1, end=2.0)
-    return {
-        name: fit(batch, Hypothesis(BASE, (LIBRARY[name],)), **start)
-        for name, start in CAUSES.items()
-    }
+    return fit_alike(repeats=1)
 
 
 def test_that_a_cause_of_the_measurement_is_told_apart_too(fits):

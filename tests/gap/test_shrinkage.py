@@ -25,16 +25,19 @@ from tests.gap.synthetic import BASE, DESIGNS, SIMULATOR, fit, shoot
 RIVALS = ["wall", "sound_speed"]
 
 
+def diagnose_loss(offered):
+    shots = shoot({"gas_loss": 0.3}, DESIGNS, repeats=10, end=2.4).experiments
+    return diagnose(shots, effects=library(offered), simulator=SIMULATOR)
+
+
 @pytest.fixture(scope="module")
 def right():
-    shots = shoot({"gas_loss": 0.3}, DESIGNS, repeats=10, end=2.4).experiments
-    return diagnose(shots, effects=library(["gas_loss", *RIVALS]), simulator=SIMULATOR)
+    return diagnose_loss(["gas_loss", *RIVALS])
 
 
 @pytest.fixture(scope="module")
 def withheld():
-    shots = shoot({"gas_loss": 0.3}, DESIGNS, repeats=10, end=2.4).experiments
-    return diagnose(shots, effects=library(RIVALS), simulator=SIMULATOR)
+    return diagnose_loss(RIVALS)
 
 
 def test_that_the_right_effect_closes_the_gap_and_random_ones_do_not(right):

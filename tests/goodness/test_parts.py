@@ -32,6 +32,15 @@ def simulate_curve(gel: dict[str, float]) -> Tensor:
     return SIMULATOR(PARAMETERS.pack(gel), design, TIMES).radius.reshape(-1)
 
 
+def soften_curve(G: float) -> Tensor:
+    """The curve of the gel up to its first collapse, then that of another modulus."""
+    stiff, soft = (simulate_curve(GEL | own) for own in ({}, {"G": G}))
+    first, other = (int(x[:40].argmin()) for x in (stiff, soft))
+    rest = len(stiff) - max(first, other)
+    stiff[first : first + rest] = soft[other : other + rest]
+    return stiff
+
+
 def fit_curve(clean: Tensor, seed: int, last: float = 2.6) -> tuple[ModelFit, ExperimentBatch]:
     seen = clean + NOISE.sd(clean, TIMES) * torch.randn(80, generator=generator(seed)).double()
     shot = Experiment("shot 1", DESIGN, TIMES, seen[None]).until(last)
@@ -65,13 +74,7 @@ def test_that_shifts_have_unit_variance_where_the_model_is_right():
 
 
 def test_that_a_gel_that_softens_after_the_first_collapse_is_seen():
-    stiff, soft = (simulate_curve({"G": G, "mu": 0.08}) for G in (8e3, 6e3))
-    first = int(stiff[:40].argmin())
-    other = int(soft[:40].argmin())
-    clean = stiff.clone()
-    rest = len(clean) - max(first, other)
-    clean[first : first + rest] = soft[other : other + rest]
-    found = compare_parts(*fit_curve(clean, 0), SIMULATOR)
+    found = compare_parts(*fit_curve(soften_curve(6e3), 0), SIMULATOR)
     assert not found.agree
     assert found.compared[-1][0] > 10.0
     assert found.sentences()[0].startswith("Parts of the records disagree: without the first")
@@ -153,10 +156,5 @@ def test_that_a_gel_that_does_not_change_stays_within_the_intervals_of_its_stret
 
 
 def test_that_a_gel_that_softens_is_seen_over_time():
-    stiff, soft = (simulate_curve({"G": G, "mu": 0.08}) for G in (8e3, 3e3))
-    first, other = int(stiff[:40].argmin()), int(soft[:40].argmin())
-    clean = stiff.clone()
-    rest = len(clean) - max(first, other)
-    clean[first : first + rest] = soft[other : other + rest]
-    stretches = follow_gel(*fit_curve(clean, 0), SIMULATOR, windows=4)
+    stretches = follow_gel(*fit_curve(soften_curve(3e3), 0), SIMULATOR, windows=4)
     assert stretches[0]["intervals"]["G"][0] > stretches[-1]["intervals"]["G"][2]

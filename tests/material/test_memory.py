@@ -103,28 +103,36 @@ def test_that_the_maxwell_branch_is_the_linear_maxwell_law_at_every_point_of_the
     assert toolkit(material("maxwell"), values, growth) == pytest.approx(expected, rel=1e-7)
 
 
-@pytest.mark.parametrize("retardation", [0.0, 0.3])
-@pytest.mark.parametrize("tau", [0.05, 0.5, 5.0])
-def test_that_two_states_carry_the_upper_convected_law_of_every_shell(tau, retardation):
-    """In the frame of the shells, which keep ``h = r^3 - R^3``: the velocity gradient is ``-2 R^2 U/r^3`` along ``r`` and
-    ``R^2 U/r^3`` around, so ``tau (D tau_rr + 4 R^2 U/r^3 tau_rr) + tau_rr = -4 mu R^2 U/r^3`` and
-    ``tau (D tau_tt - 2 R^2 U/r^3 tau_tt) + tau_tt = 2 mu R^2 U/r^3``.
+def convect(tau: float, mu: float, retardation: float, more) -> float:
+    """The stress at the wall of the upper-convected law of every shell, with ``more`` of a stress and
+    the trace on its left. In the frame of the shells, which keep ``h = r^3 - R^3``, the velocity
+    gradient is ``-2 R^2 U/r^3`` along ``r`` and ``R^2 U/r^3`` around, so ``tau (D tau_rr + 4 R^2 U/r^3
+    tau_rr) + tau_rr = -4 mu R^2 U/r^3`` and ``tau (D tau_tt - 2 R^2 U/r^3 tau_tt) + tau_tt = 2 mu R^2
+    U/r^3``.
     """
-    mu, (end, speed, _) = 0.05, collapse(LAST)
+    end, speed, _ = collapse(LAST)
+    polymer = (1.0 - retardation) * mu
     cubes = end**3 * (1.0 / X - 1.0)
 
     def rate(t: float, stress: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         radius, velocity, _ = collapse(t)
         strain = radius**2 * velocity / (cubes + radius**3)
-        drive = 2.0 * mu * (1.0 - retardation) * strain / tau
         radial, hoop = stress
-        return -(1.0 / tau + 4.0 * strain) * radial - 2.0 * drive, -(
-            1.0 / tau - 2.0 * strain
-        ) * hoop + drive
+        extra = [more(s, radial + 2.0 * hoop) for s in stress]
+        return (
+            -(1.0 / tau + 4.0 * strain) * radial - 4.0 * polymer * strain / tau - extra[0],
+            -(1.0 / tau - 2.0 * strain) * hoop + 2.0 * polymer * strain / tau - extra[1],
+        )
 
     radial, hoop = shells(rate, 2)
-    expected = 2.0 * np.sum(W * (radial - hoop) / (3.0 * X)) - 4.0 * mu * retardation * speed / end
-    values = {"mu": mu, "tau_ucm": tau, "retardation": retardation}
+    return 2.0 * np.sum(W * (radial - hoop) / (3.0 * X)) - 4.0 * mu * retardation * speed / end
+
+
+@pytest.mark.parametrize("retardation", [0.0, 0.3])
+@pytest.mark.parametrize("tau", [0.05, 0.5, 5.0])
+def test_that_two_states_carry_the_upper_convected_law_of_every_shell(tau, retardation):
+    values = {"mu": 0.05, "tau_ucm": tau, "retardation": retardation}
+    expected = convect(tau, 0.05, retardation, lambda stress, trace: 0.0)
     assert toolkit(material("ucm"), values, collapse) == pytest.approx(expected, rel=1e-6)
 
 
@@ -136,26 +144,12 @@ NONLINEAR = pytest.mark.parametrize(
 @NONLINEAR
 @pytest.mark.parametrize("tau", [0.05, 0.5, 5.0])
 def test_that_few_shells_carry_a_nonlinear_fluid(key, name, strength, tau):
-    """The upper-convected law of every shell with ``a De/mu_p s^2`` (Giesekus) or ``e De/mu_p tr(s) s``
-    (Phan-Thien and Tanner) more on its left.
-    """
-    mu, retardation, (end, speed, _) = 0.05, 0.3, collapse(LAST)
-    polymer = (1.0 - retardation) * mu
-    cubes = end**3 * (1.0 / X - 1.0)
-
-    def rate(t: float, stress: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        radius, velocity, _ = collapse(t)
-        strain = radius**2 * velocity / (cubes + radius**3)
-        radial, hoop = stress
-        trace = radial + 2.0 * hoop
-        more = [strength / polymer * s * (s if key == "giesekus" else trace) for s in stress]
-        return (
-            -(1.0 / tau + 4.0 * strain) * radial - 4.0 * polymer * strain / tau - more[0],
-            -(1.0 / tau - 2.0 * strain) * hoop + 2.0 * polymer * strain / tau - more[1],
-        )
-
-    radial, hoop = shells(rate, 2)
-    expected = 2.0 * np.sum(W * (radial - hoop) / (3.0 * X)) - 4.0 * mu * retardation * speed / end
+    """With ``a De/mu_p s^2`` (Giesekus) or ``e De/mu_p tr(s) s`` (Phan-Thien and Tanner) more."""
+    mu, retardation = 0.05, 0.3
+    share = strength / ((1.0 - retardation) * mu)
+    expected = convect(
+        tau, mu, retardation, lambda s, trace: share * s * (s if key == "giesekus" else trace)
+    )
     values = {"mu": mu, "tau_" + key: tau, "retardation": retardation, name: strength}
     found = toolkit(material(key), values, collapse)
     assert found == pytest.approx(expected, rel=2e-5)

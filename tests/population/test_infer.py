@@ -115,6 +115,11 @@ class Dense:
         return float(law.log_prob(self.y)), covariance @ self.rows.mT @ solved[:, 2], covariance
 
 
+def half_normal(scatters: Tensor) -> Tensor:
+    """Log density of the prior of scatters."""
+    return 0.5 * math.log(2.0 / math.pi) - math.log(SCALE) - 0.5 * (scatters / SCALE).square()
+
+
 class Exact:
     """Quadrature over both scatters of the dense algebra."""
 
@@ -126,13 +131,7 @@ class Exact:
         density = Dense(experiments)
         found = [density(row) for row in grid]
         logs = torch.tensor([x[0] for x in found], dtype=torch.float64)
-        half_normal = (
-            math.log(2.0)
-            - 0.5 * math.log(2.0 * math.pi)
-            - math.log(SCALE)
-            - 0.5 * (grid / SCALE).square()
-        )
-        logs = logs + half_normal.sum(1)
+        logs = logs + half_normal(grid).sum(1)
         self.log_evidence = float(torch.logsumexp(logs, 0)) + 2.0 * math.log(self.wide)
         self.weights = torch.softmax(logs, 0)
         self.grid = grid
@@ -214,13 +213,7 @@ def test_that_curved_shots_give_what_quadrature_over_gels_and_scatter_gives():
             float(torch.logsumexp((smeared.sum(0) + prior_logs).flatten(), 0))
             + 2.0 * math.log(step)
         )
-    half_normal = (
-        math.log(2.0)
-        - 0.5 * math.log(2.0 * math.pi)
-        - math.log(SCALE)
-        - 0.5 * (scatters / SCALE).square()
-    )
-    total = tensor(*evidence) + half_normal
+    total = tensor(*evidence) + half_normal(scatters)
     exact = float(torch.logsumexp(total, 0)) + math.log(float(scatters[1] - scatters[0]))
     assert max(shot.misses for shot in population.shots) < 0.2
     corrections = []

@@ -1,7 +1,6 @@
 """Evidence against its closed form for a linear simulator, its stated error against the scatter over seeds."""
 
 import math
-from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -16,8 +15,8 @@ from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.select import Evidence, evidences, log_evidence, probability_errors, update
 from tests.linear import (
+    BATCHES,
     BOTH,
-    CORRELATED,
     MEANS,
     MODELS,
     NOISE,
@@ -30,14 +29,6 @@ from tests.linear import (
 )
 
 OPTIONS = SearchOptions(raw_samples=24)
-BATCHES = {
-    "one experiment": experiments(1),
-    "several": experiments(3),
-    "correlated noise": experiments(3, noise=CORRELATED),
-    "uncertain clock and rest radius": experiments(3, nuisance=BOTH),
-    "both, correlated": experiments(4, nuisance=BOTH, noise=CORRELATED),
-    "scaled noise": experiments(2, noise=replace(NOISE, scale=3.0)),
-}
 
 
 def fitted(batch: ExperimentBatch, belief: Belief | None = None) -> Assimilation:

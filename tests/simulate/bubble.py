@@ -15,12 +15,23 @@ from imr_torch.float64 import linspace
 from imr_torch.material import MATERIALS, PARAMETERS
 from imr_torch.simulate import (
     LIQUIDS,
+    PRESETS,
     RADIAL_EQUATIONS,
     Conditions,
+    GasMixture,
+    Medium,
     Stepping,
     TabulatedDriving,
 )
 
+CLOSURES = {
+    **PRESETS,
+    "cold gel": Conditions(medium=Medium(warm=False)),
+    "dry gas": Conditions(mixture=GasMixture(vapour="absent")),
+    "constant vapour": Conditions(mixture=GasMixture(vapour="constant")),
+    "frozen vapour": Conditions(mixture=GasMixture(vapour="frozen")),
+}
+"""What heat and vapour may do."""
 FINE = Stepping(0.03, max_steps=100_000)
 GEL = {"G": 2770.0, "mu": 0.186, "alpha": 0.48}
 DESIGN = (1000.0, 0.2)

@@ -272,28 +272,28 @@ def test_that_heat_exchange_leads_from_adiabatic_to_isothermal(factor, exponent)
     assert bool((exponents.diff() * (exponent - 1.3) > 0.0).all())
 
 
-def test_that_a_drag_that_grows_with_size_damps_by_half_its_strength():
-    """About rest ``x'' + k Rmax U_c/p_inf x' + omega^2 x = 0``, so the damping is half of that."""
+def swing_about_rest(**effect: float) -> tuple[Tensor, float, Conditions]:
+    """A small swing, 1 at first, at We 500; its stiffness without the effect, and the conditions."""
     rest = 1.0 - 1e-4
-    weber = 500.0
-    drag = 1e7
-    stiffness = 3.0 * 1.4 * (1.0 + 1.0 / (weber * rest)) - 1.0 / (weber * rest)
+    stiffness = 3.0 * 1.4 * (1.0 + 1.0 / (500.0 * rest)) - 1.0 / (500.0 * rest)
     conditions = Conditions(gas=PolytropicGas(1.4, "rest", vapour=False), motion=RayleighPlesset())
     radius = PolytropicSimulator(conditions, FINE)(
-        gel(size_drag=drag), tensor(weber, rest), grid(6.0)
+        gel(**effect), tensor(500.0, rest), grid(6.0)
     ).radius
+    return (radius - rest) / (1.0 - rest), stiffness, conditions
+
+
+def test_that_a_drag_that_grows_with_size_damps_by_half_its_strength():
+    """About rest ``x'' + k Rmax U_c/p_inf x' + omega^2 x = 0``, so the damping is half of that."""
+    drag = 1e7
+    found, stiffness, conditions = swing_about_rest(size_drag=drag)
     around = conditions.surroundings
-    size = float(around.max_radius(tensor(weber)))
+    size = float(around.max_radius(tensor(500.0)))
     speed = math.sqrt(around.far_field_pressure / around.density)
     damping = 0.5 * drag * size * speed / around.far_field_pressure
     omega = math.sqrt(stiffness - damping**2)
     swing = torch.cos(omega * grid(6.0)) + damping / omega * torch.sin(omega * grid(6.0))
-    assert_close(
-        (radius - rest) / (1.0 - rest),
-        torch.exp(-damping * grid(6.0)) * swing,
-        rtol=0.0,
-        atol=2e-3,
-    )
+    assert_close(found, torch.exp(-damping * grid(6.0)) * swing, rtol=0.0, atol=2e-3)
 
 
 @pytest.mark.parametrize("strength", [-0.2, 0.3])
@@ -302,15 +302,9 @@ def test_that_a_mirror_bubble_adds_to_the_mass_that_moves(strength):
 
     ``omega^2`` falls to ``omega^2/(1 + b)``.
     """
-    rest = 1.0 - 1e-4
-    weber = 500.0
-    stiffness = 3.0 * 1.4 * (1.0 + 1.0 / (weber * rest)) - 1.0 / (weber * rest)
-    conditions = Conditions(gas=PolytropicGas(1.4, "rest", vapour=False), motion=RayleighPlesset())
-    radius = PolytropicSimulator(conditions, FINE)(
-        gel(wall=strength), tensor(weber, rest), grid(6.0)
-    ).radius
+    found, stiffness, _ = swing_about_rest(wall=strength)
     omega = math.sqrt(stiffness / (1.0 + strength))
-    assert_close((radius - rest) / (1.0 - rest), torch.cos(omega * grid(6.0)), rtol=0.0, atol=2e-3)
+    assert_close(found, torch.cos(omega * grid(6.0)), rtol=0.0, atol=2e-3)
 
 
 def test_that_fully_trapped_vapour_is_a_gas():

@@ -14,7 +14,6 @@ from imr_torch.float64 import linspace, rand, tensor
 from imr_torch.material import PARAMETERS, reference_case
 from imr_torch.simulate import (
     ACCURACIES,
-    PRESETS,
     Accuracy,
     Conditions,
     GasMixture,
@@ -28,17 +27,11 @@ from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.engines import ENGINES
 from imr_torch.simulate.rhs import HEAD, Equations
 from imr_torch.simulate.rosenbrock import rosenbrock_step, scaled_error, step_factor
+from tests.simulate.bubble import CLOSURES
 
 TIMES = linspace(0.0, 2.5, 51)
 GEL = PARAMETERS.pack({"G": 2770.0, "mu": 0.186, "alpha": 0.48})
 DESIGN = tensor([550.0, 0.22])
-CLOSURES = {
-    **PRESETS,
-    "cold gel": Conditions(medium=Medium(warm=False)),
-    "dry gas": Conditions(mixture=GasMixture(vapour="absent")),
-    "constant vapour": Conditions(mixture=GasMixture(vapour="constant")),
-    "frozen vapour": Conditions(mixture=GasMixture(vapour="frozen")),
-}
 
 
 def draws(count):

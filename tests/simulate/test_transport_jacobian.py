@@ -11,23 +11,13 @@ from imr_torch.simulate import (
     PRESETS,
     RADIAL_EQUATIONS,
     Conditions,
-    GasMixture,
-    Medium,
     Resolution,
 )
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.linearise import linearise_equations
 from imr_torch.simulate.rhs import HEAD, Equations
 from imr_torch.simulate.rosenbrock import rosenbrock_step
-from tests.simulate.bubble import sine
-
-CONDITIONS = {
-    **PRESETS,
-    "cold gel": Conditions(medium=Medium(warm=False)),
-    "dry gas": Conditions(mixture=GasMixture(vapour="absent")),
-    "constant vapour": Conditions(mixture=GasMixture(vapour="constant")),
-    "frozen vapour": Conditions(mixture=GasMixture(vapour="frozen")),
-}
+from tests.simulate.bubble import CLOSURES, sine
 
 
 def gels(**columns):
@@ -121,20 +111,21 @@ def assert_jacobian_is_automatic(equations, vapour=True):
 @pytest.mark.parametrize(
     "resolution", [Resolution(4, 6), Resolution(5, 5)], ids=["unequal", "equal"]
 )
-@pytest.mark.parametrize("conditions", CONDITIONS.values(), ids=CONDITIONS)
+@pytest.mark.parametrize("conditions", CLOSURES.values(), ids=CLOSURES)
 def test_the_jacobian_is_that_of_automatic_differentiation(conditions, resolution):
     equations = Equations(Bubbles.of(PARAMETER_ROWS, DESIGNS, conditions), *resolution.grids())
     assert_jacobian_is_automatic(equations, conditions.mixture.vapour == "transported")
+
+
+def few_equations(columns, conditions) -> Equations:
+    return Equations(Bubbles.of(gels(**columns), DESIGNS, conditions), *Resolution(4, 4).grids())
 
 
 @pytest.mark.parametrize("motion", RADIAL_EQUATIONS.values(), ids=RADIAL_EQUATIONS)
 @pytest.mark.parametrize("columns", REMEMBERING.values(), ids=REMEMBERING)
 def test_so_it_does_with_every_gel_in_every_radial_equation(columns, motion):
     conditions = Conditions(motion=motion, driving=sine(5e4, 2e4))
-    equations = Equations(
-        Bubbles.of(gels(**PLAIN | columns), DESIGNS, conditions), *Resolution(4, 4).grids()
-    )
-    assert_jacobian_is_automatic(equations)
+    assert_jacobian_is_automatic(few_equations(PLAIN | columns, conditions))
 
 
 @pytest.mark.parametrize("key", ["published", "authors_code"])
@@ -142,10 +133,7 @@ def test_so_it_does_with_every_gel_in_every_radial_equation(columns, motion):
 def test_so_it_does_with_every_effect(columns, key):
     for motion in (RADIAL_EQUATIONS["keller_miksis"], RADIAL_EQUATIONS["gilmore"]):
         conditions = replace(PRESETS[key], motion=motion)
-        equations = Equations(
-            Bubbles.of(gels(**PLAIN | columns), DESIGNS, conditions), *Resolution(4, 4).grids()
-        )
-        assert_jacobian_is_automatic(equations)
+        assert_jacobian_is_automatic(few_equations(PLAIN | columns, conditions))
 
 
 @pytest.mark.parametrize("motion", RADIAL_EQUATIONS.values(), ids=RADIAL_EQUATIONS)
@@ -153,9 +141,7 @@ def test_the_slope_in_time_is_that_of_the_acceleration(motion):
     """By automatic differentiation, with driving, a sound field and a pulse at once."""
     columns = PLAIN | ACTING["in a sound field"]
     conditions = Conditions(motion=motion, driving=sine(5e4, 2e4))
-    equations = Equations(
-        Bubbles.of(gels(**columns), DESIGNS, conditions), *Resolution(4, 4).grids()
-    )
+    equations = few_equations(columns, conditions)
     state = rough_state(equations)
     time = tensor([0.3, 0.7, 1.1])
     _, slope = linearise_equations(equations, equations.fields(state, time))

@@ -1,0 +1,37 @@
+"""The page of measured gels follows from its record, and the one that is kept from the one that is kept."""
+
+from pathlib import Path
+
+from benchmarks.real_gels_page import write_page
+from benchmarks.records import read_record
+from tests.figures import rendering
+
+ROOT = Path(__file__).resolve().parents[2]
+KEPT = ROOT / "docs" / "_static" / "measured"
+ROWS = read_record(ROOT / "benchmarks" / "records" / "real_gels.jsonl")
+
+
+def write(rows, folder) -> tuple[str, dict[str, bytes]]:
+    page = folder / "benchmarks" / "REAL_GELS.md"
+    page.parent.mkdir(parents=True)
+    figures = folder / KEPT.relative_to(ROOT)
+    with rendering():
+        write_page(rows, page, figures)
+    return page.read_text(), {path.name: path.read_bytes() for path in figures.iterdir()}
+
+
+def test_that_the_page_is_that_of_the_record_and_figures_are_the_same_when_made_again(tmp_path):
+    page, figures = write(ROWS, tmp_path)
+    assert page == (ROOT / "benchmarks" / "REAL_GELS.md").read_text()
+    assert {path.name for path in KEPT.iterdir()} == figures.keys()
+    assert sum(map(len, figures.values())) < 300_000
+    assert write(ROWS[:1], tmp_path / "again")[1].items() <= figures.items()
+
+
+def test_that_what_may_be_quoted_follows_the_verdict(tmp_path):
+    row = next(row for row in ROWS if row["key"] == "pa_stiff_estrada/diagnose")
+    nothing, _ = write([row], tmp_path)
+    assert "Nothing can be quoted, since no cause is named: with what it may lack G" in nothing
+    named = {"cause": ["wall"], "parameters": {"G": [2e3, 3e3, 4e3], "mu": [1, 2, 3]}}
+    page, _ = write([row | named], tmp_path / "named")
+    assert "To quote: G is 3 (2 to 4) kPa (1.01 to 14.1 with what it may lack), 1.1 times" in page
