@@ -133,3 +133,13 @@ def test_that_the_log_joint_can_be_sampled_by_hamiltonian_monte_carlo():
     sds = truth.covariance.diagonal().sqrt()
     assert float(((gels.mean(0) - truth.mean) / sds).abs().max()) < 0.15
     assert float(((fit.mean - truth.mean) / sds).abs().max()) > 0.2
+
+
+def test_that_a_neighbourhood_of_some_experiments_is_that_of_all_without_the_others():
+    posterior = linear(experiments(3, nuisance=BOTH))
+    point = points(posterior, 1)[0]
+    rows = torch.tensor([0, 2])
+    part = posterior.neighbourhood(point).of_experiments(rows)
+    alone = posterior.of_experiments(rows)
+    assert_close(part.slopes, alone.neighbourhood(part.point).slopes)
+    assert_close(part.log_joint, alone.log_joint(Point(point.gel, point.nuisances[rows])))
