@@ -218,10 +218,9 @@ def finding(report: GapReport) -> Finding:
 
 
 def _base_posterior(report: GapReport) -> ModelBelief:
-    """The base model's parameters, inferred beside the cause if one is named."""
+    """The base model's parameters as the report has them: beside the cause if one is named."""
     base = report.base
-    fit = report.selected_fit if report.verdict == "effect" else report.null
-    posterior = fit.posterior
+    posterior = report.quoted[0].posterior
     own = [posterior.names.index(name) for name in base.names]
     covariance = (posterior.chol @ posterior.chol.mT)[own][:, own]
     return base.with_gaussian(posterior.mean[own], torch.linalg.cholesky(covariance))

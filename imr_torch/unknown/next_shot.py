@@ -16,7 +16,7 @@ from imr_torch.design import DesignSpace, NextDesign, Plan
 from imr_torch.errors import ConvergenceError
 from imr_torch.float64 import eye, ones, randn, tensor, zeros
 from imr_torch.material import ModelBelief
-from imr_torch.observe import Experiment, ExperimentBatch
+from imr_torch.observe import NUISANCES, Experiment, ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.types import Design, DrawnValues, FrameValues
@@ -81,7 +81,7 @@ def choose_shot(
     space = space or DesignSpace()
     for design in space.spread_designs(designs, seed=child(seed, "designs")):
         shot = plan_shot(design, plan, prior, simulator)
-        still = shot.predict(rivals[0].gel, zeros(3), zeros(len(shot.moments)))
+        still = shot.predict(rivals[0].gel, zeros(len(NUISANCES)), zeros(len(shot.moments)))
         curves = [predict_curve(shot, rival, still) for rival in rivals]
         if all(bool(torch.isfinite(curve.mean).all()) for curve in curves):
             own = _weigh_outcomes(curves, shares, child(seed, "compare"))
@@ -113,7 +113,7 @@ def predict_curve(shot: Shot, rival: Rival, reference: FrameValues) -> Multivari
         rival: the explanation.
         reference: ``T`` tensor, the curve.
     """
-    still = zeros(3)
+    still = zeros(len(NUISANCES))
     response = shot.respond(rival.gel, still, zeros(len(shot.moments)))
     columns = rival.columns(0, shot, response)
     weights = torch.zeros_like(rival.weights) if rival.each else rival.weights
