@@ -21,7 +21,7 @@ from imr_torch.assimilate import ModelFit, Point, Posterior, SearchOptions
 from imr_torch.assimilate.basins import deeper_nuisances
 from imr_torch.assimilate.map_fit import assimilate_model
 from imr_torch.assimilate.slow_noise import BesideSlowNoise
-from imr_torch.float64 import eye, randn, zeros
+from imr_torch.float64 import eye, randn, tensor, zeros
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.hypotheses import EXPLAINS, GEL_SCATTER, Hypothesis, laplace_evidence
@@ -37,7 +37,15 @@ from imr_torch.types import FrameValues, Progress, ProgressLine
 # one basin
 _APART = 0.03
 _CANDIDATES = 4  # hypotheses of a step that are fitted again without a design
-_STEPS = 4  # Gauss-Newton steps of the nuisances from the deepest basin that is found
+_TIMES = (
+    -4.0,
+    -2.0,
+    2.0,
+    4.0,
+)  # prior standard deviations of time zero from which curves are fitted
+_STEPS = 12  # most Gauss-Newton steps of the nuisances of a curve that judges
+_SHARES = (1.0, 0.3, 0.1)  # of a step that are tried
+_GAIN = 0.01  # nats by which a step must lower the cost for another one to follow
 # .05 nats: below training noise
 _OPTIONS = SearchOptions(starts=2, iterations=20, gradient=0.3, basin_rounds=0)
 
@@ -370,19 +378,36 @@ def held_out(
 def _most_probable(posterior: Posterior, fit: ModelFit) -> Float[Tensor, "1 nuisances"]:
     """The most probable nuisances of a design at the gel of a fit.
 
-    A frame next to a collapse makes the cost of time zero have several minima, all of which are
-    tried; so is, where curves have gels of their own, the gel of any curve of the fit.
+    A frame next to a collapse makes the cost of time zero have several minima. Gauss-Newton steps
+    start in the deepest one of its profile and at several times zero, and, where curves have gels of
+    their own, at the gel of any curve of the fit. Where a model misses much, a full step overshoots:
+    the lowest of some shares of it counts.
     """
+
+    def cost(nuisances: Tensor) -> Tensor:
+        gels = fit.mean.expand(len(nuisances), -1)
+        return -posterior.log_joint(Point(gels, nuisances)).nan_to_num(nan=-math.inf)
+
     own = fit.nuisances[:, len(NUISANCES) :]
-    moved = posterior.mean_nuisances(1 + len(own) if own.numel() else 1)
+    begin = posterior.mean_nuisances(1 + len(own) if own.numel() else 1)
     if own.numel():
-        moved[1:, 0, len(NUISANCES) :] = own
-    gels = fit.mean.expand(len(moved), -1)
-    moved = deeper_nuisances(posterior, Point(gels, moved))
-    tried = [moved]
+        begin[1:, 0, len(NUISANCES) :] = own
+    gels = fit.mean.expand(len(begin), -1)
+    apart = begin[:1].repeat(len(_TIMES), 1, 1)
+    apart[:, 0, NUISANCES.index("time_zero")] = tensor(_TIMES)
+    moved = torch.cat((begin, deeper_nuisances(posterior, Point(gels, begin)), apart))
+    costs = cost(moved)
+    active = torch.arange(len(moved))
     for _ in range(_STEPS if len(posterior.uncertain) else 0):
-        moved, _ = posterior.fit_nuisances(Point(gels, moved))
-        tried.append(moved)
-    every = torch.cat(tried)
-    cost = -posterior.log_joint(Point(fit.mean.expand(len(every), -1), every))
-    return every[int(cost.nan_to_num(nan=math.inf).argmin())]
+        before = moved[active]
+        point = Point(fit.mean.expand(len(active), -1), before)
+        step = posterior.fit_nuisances(point)[0] - before
+        tried = torch.stack([before + share * step for share in _SHARES])
+        lowest, places = cost(tried.flatten(0, 1)).unflatten(0, tried.shape[:2]).min(0)
+        lower = lowest < costs[active] - _GAIN
+        active = active[lower]
+        moved[active] = tried[places[lower], lower.nonzero()[:, 0]]
+        costs[active] = lowest[lower]
+        if not len(active):
+            break
+    return moved[int(costs.argmin())]
