@@ -37,12 +37,8 @@ from imr_torch.types import FrameValues, Progress, ProgressLine
 # one basin
 _APART = 0.03
 _CANDIDATES = 4  # hypotheses of a step that are fitted again without a design
-_TIMES = (
-    -4.0,
-    -2.0,
-    2.0,
-    4.0,
-)  # prior standard deviations of time zero from which curves are fitted
+# prior standard deviations of time zero from which a curve that judges is fitted
+_TIMES = (-6.0, -4.0, -2.0, 2.0, 4.0, 6.0)
 _STEPS = 12  # most Gauss-Newton steps of the nuisances of a curve that judges
 _SHARES = (1.0, 0.3, 0.1)  # of a step that are tried
 _GAIN = 0.01  # nats by which a step must lower the cost for another one to follow
