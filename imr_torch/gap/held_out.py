@@ -374,10 +374,10 @@ def held_out(
 def _most_probable(posterior: Posterior, fit: ModelFit) -> Float[Tensor, "1 nuisances"]:
     """The most probable nuisances of a design at the gel of a fit.
 
-    A frame next to a collapse makes the cost of time zero have several minima. Gauss-Newton steps
-    start in the deepest one of its profile and at several times zero, and, where curves have gels of
-    their own, at the gel of any curve of the fit. Where a model misses much, a full step overshoots:
-    the lowest of some shares of it counts.
+    A frame next to a collapse makes the cost of time zero have several minima: descents start in
+    the deepest one of its profile, at several times zero, and, where curves have gels of their own,
+    at the gel of any curve of the fit. Where a model misses much, a full Gauss-Newton step
+    overshoots: the lowest of some shares of it counts.
     """
 
     def cost(nuisances: Tensor) -> Tensor:
@@ -386,12 +386,11 @@ def _most_probable(posterior: Posterior, fit: ModelFit) -> Float[Tensor, "1 nuis
 
     own = fit.nuisances[:, len(NUISANCES) :]
     begin = posterior.mean_nuisances(1 + len(own) if own.numel() else 1)
-    if own.numel():
-        begin[1:, 0, len(NUISANCES) :] = own
-    gels = fit.mean.expand(len(begin), -1)
+    begin[1:, 0, len(NUISANCES) :] = own[: len(begin) - 1]
     apart = begin[:1].repeat(len(_TIMES), 1, 1)
     apart[:, 0, NUISANCES.index("time_zero")] = tensor(_TIMES)
-    moved = torch.cat((begin, deeper_nuisances(posterior, Point(gels, begin)), apart))
+    deepest = deeper_nuisances(posterior, Point(fit.mean.expand(len(begin), -1), begin))
+    moved = torch.cat((begin, deepest, apart))
     costs = cost(moved)
     active = torch.arange(len(moved))
     for _ in range(_STEPS if len(posterior.uncertain) else 0):
@@ -402,7 +401,7 @@ def _most_probable(posterior: Posterior, fit: ModelFit) -> Float[Tensor, "1 nuis
         lowest, places = cost(tried.flatten(0, 1)).unflatten(0, tried.shape[:2]).min(0)
         lower = lowest < costs[active] - _GAIN
         active = active[lower]
-        moved[active] = tried[places[lower], lower.nonzero()[:, 0]]
+        moved[active] = tried[places, torch.arange(len(places))][lower]
         costs[active] = lowest[lower]
         if not len(active):
             break
