@@ -21,7 +21,7 @@ from imr_torch.assimilate import ModelFit, Point, Posterior, SearchOptions
 from imr_torch.assimilate.basins import deeper_nuisances
 from imr_torch.assimilate.map_fit import assimilate_model
 from imr_torch.assimilate.slow_noise import BesideSlowNoise
-from imr_torch.float64 import eye, randn, zeros
+from imr_torch.float64 import eye, randn, tensor, zeros
 from imr_torch.gap.attribute import Candidates
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.hypotheses import EXPLAINS, GEL_SCATTER, Hypothesis, laplace_evidence
@@ -37,7 +37,11 @@ from imr_torch.types import FrameValues, Progress, ProgressLine
 # one basin
 _APART = 0.03
 _CANDIDATES = 4  # hypotheses of a step that are fitted again without a design
-_STEPS = 4  # Gauss-Newton steps of the nuisances from the deepest basin that is found
+# prior standard deviations of time zero from which a curve that judges is fitted
+_TIMES = (-6.0, -4.0, -2.0, 2.0, 4.0, 6.0)
+_STEPS = 12  # most Gauss-Newton steps of the nuisances of a curve that judges
+_SHARES = (1.0, 0.3, 0.1)  # of a step that are tried
+_GAIN = 0.01  # nats by which a step must lower the cost for another one to follow
 # .05 nats: below training noise
 _OPTIONS = SearchOptions(starts=2, iterations=20, gradient=0.3, basin_rounds=0)
 
@@ -371,19 +375,35 @@ def held_out(
 def _most_probable(posterior: Posterior, fit: ModelFit) -> Float[Tensor, "1 nuisances"]:
     """The most probable nuisances of a design at the gel of a fit.
 
-    A frame next to a collapse makes the cost of time zero have several minima, all of which are
-    tried; so is, where curves have gels of their own, the gel of any curve of the fit.
+    A frame next to a collapse makes the cost of time zero have several minima: descents start in
+    the deepest one of its profile, at several times zero, and, where curves have gels of their own,
+    at the gel of any curve of the fit. Where a model misses much, a full Gauss-Newton step
+    overshoots: the lowest of some shares of it counts.
     """
+
+    def cost(nuisances: Tensor) -> Tensor:
+        gels = fit.mean.expand(len(nuisances), -1)
+        return -posterior.log_joint(Point(gels, nuisances)).nan_to_num(nan=-math.inf)
+
     own = fit.nuisances[:, len(NUISANCES) :]
-    moved = posterior.mean_nuisances(1 + len(own) if own.numel() else 1)
-    if own.numel():
-        moved[1:, 0, len(NUISANCES) :] = own
-    gels = fit.mean.expand(len(moved), -1)
-    moved = deeper_nuisances(posterior, Point(gels, moved))
-    tried = [moved]
+    begin = posterior.mean_nuisances(1 + len(own) if own.numel() else 1)
+    begin[1:, 0, len(NUISANCES) :] = own[: len(begin) - 1]
+    apart = begin[:1].repeat(len(_TIMES), 1, 1)
+    apart[:, 0, NUISANCES.index("time_zero")] = tensor(_TIMES)
+    deepest = deeper_nuisances(posterior, Point(fit.mean.expand(len(begin), -1), begin))
+    moved = torch.cat((begin, deepest, apart))
+    costs = cost(moved)
+    active = torch.arange(len(moved))
     for _ in range(_STEPS if len(posterior.uncertain) else 0):
-        moved, _ = posterior.fit_nuisances(Point(gels, moved))
-        tried.append(moved)
-    every = torch.cat(tried)
-    cost = -posterior.log_joint(Point(fit.mean.expand(len(every), -1), every))
-    return every[int(cost.nan_to_num(nan=math.inf).argmin())]
+        before = moved[active]
+        point = Point(fit.mean.expand(len(active), -1), before)
+        step = posterior.fit_nuisances(point)[0] - before
+        tried = torch.stack([before + share * step for share in _SHARES])
+        lowest, places = cost(tried.flatten(0, 1)).unflatten(0, tried.shape[:2]).min(0)
+        lower = lowest < costs[active] - _GAIN
+        active = active[lower]
+        moved[active] = tried[places, torch.arange(len(places))][lower]
+        costs[active] = lowest[lower]
+        if not len(active):
+            break
+    return moved[int(costs.argmin())]
