@@ -72,7 +72,7 @@ def _read_set(record: Record, name: str) -> dict[str, Any]:
 
 
 def _draw_set(own: dict[str, Any]) -> Figure:
-    """Intervals of G and mu beside what is published, and what unseen curves leave."""
+    """Intervals of G and mu beside independent values, and what unseen curves leave."""
     panels = {}
     for quantity, (unit, scale) in QUANTITIES.items():
         bars = [
@@ -83,7 +83,7 @@ def _draw_set(own: dict[str, Any]) -> Figure:
             if x["ends"]:
                 low, high = x["ends"]
                 color = SECOND if x["fit"] else TRUTH
-                bars.append((x["reading"] or "published", (low, sqrt(low * high), high), color))
+                bars.append((x["reading"] or "independent", (low, sqrt(low * high), high), color))
         panels[f"{quantity} ({unit})"] = scale, bars
     left = own["row"].get("left") or {}
     panels["left on unseen curves (standard deviations)"] = (
