@@ -35,7 +35,6 @@ from imr_torch.results.intervals import (
 from imr_torch.results.plot import (
     draw_information,
     draw_parameters,
-    draw_sensitivity,
     plot_parameter,
     plot_probabilities,
 )
@@ -154,11 +153,6 @@ def _design_figures(document: Document) -> Iterator[NamedFigure]:
         yield name_figure(
             "design.information", draw_information, step, number=behind, design=step["design"]
         )
-    if measure := document.get("measure"):
-        circles = len(measure["support"])
-        yield name_figure(
-            "design.sensitivity", draw_sensitivity, measure, measure=measure, circles=circles
-        )
 
 
 def _shots_figures(document: Document) -> Iterator[NamedFigure]:
@@ -172,7 +166,7 @@ def _compared_figures(document: Document) -> Iterator[NamedFigure]:
         yield name_figure("compare.ratios", plot_ratios, document, a=a, b=b)
 
 
-_WITHOUT_FIT = ("record", "information", "sensitivity")
+_WITHOUT_FIT = ("record", "information")
 """What names of figures begin with that show no fitted model."""
 
 _FIGURES: dict[str, Callable[[Document], Iterable[NamedFigure]]] = {

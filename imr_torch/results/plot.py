@@ -15,7 +15,7 @@ from scipy.stats import gaussian_kde
 from torch import Tensor
 
 from imr_torch.calibration import envelope
-from imr_torch.design import DesignMeasure, DesignSearch
+from imr_torch.design import DesignSearch
 from imr_torch.drawing import (
     CYCLE,
     DATA,
@@ -32,7 +32,7 @@ from imr_torch.files import Document
 from imr_torch.float64 import arange, linspace, tensor
 from imr_torch.labels import REST_RADIUS, WEBER, plain
 from imr_torch.material import PARAMETERS, Belief, ModelBelief
-from imr_torch.types import Design, Designs
+from imr_torch.types import Design
 from imr_torch.units import Surroundings
 
 _LEVELS = linspace(0.002, 0.998, 400)  # of a density
@@ -188,58 +188,6 @@ def search_document(search: DesignSearch, surroundings: Surroundings) -> Documen
             "nats": nats.reshape(60, 60).mT.tolist(),
         },
     }
-
-
-def measure_document(
-    measure: DesignMeasure, chosen: Designs, surroundings: Surroundings
-) -> Document:
-    """An optimal measure, JSON-ready: its support with shares, whole shots, bound, efficiencies, and
-    the sensitivity at the designs that it was optimised over.
-
-    Args:
-        measure: of shots.
-        chosen: designs (``q x 2``) whose efficiency is said.
-        surroundings: the liquid side, which fixes Rmax of a Weber number.
-    """
-    whole = measure.allocate_shots()
-    different, counts = whole.unique(dim=0, return_counts=True)
-
-    def list_designs(designs: Tensor, name: str, numbers: Tensor) -> list[Document]:
-        return [
-            design_document(design, surroundings) | {name: number}
-            for design, number in zip(designs, numbers.tolist(), strict=True)
-        ]
-
-    rows = measure.support
-    return {
-        "support": list_designs(measure.designs[rows], "share", measure.shares[rows]),
-        "whole": list_designs(different, "shots", counts),
-        "whole_efficiency": measure.efficiency(whole),
-        "chosen_efficiency": measure.efficiency(chosen),
-        "bound": measure.bound,
-        "shots": measure.shots,
-        "map": list_designs(measure.designs, "sensitivity", measure.sensitivity),
-    }
-
-
-def draw_sensitivity(found: Document) -> Axes:
-    """Map of the sensitivity of a measure over designs, with its support: area is share.
-
-    Args:
-        found: from :func:`measure_document`.
-    """
-    ax = new_axes((5.6, 4.2))
-    we, r, height = (
-        [row[name] for row in found["map"]] for name in ("We", "R_inf*", "sensitivity")
-    )
-    filled = ax.tricontourf(we, r, height, levels=15, cmap="viridis")
-    ax.figure.colorbar(filled, ax=ax, label="sensitivity, 1 where shots are")
-    for row in found["support"]:
-        size = 30.0 * row["share"] ** 0.5
-        ax.plot(row["We"], row["R_inf*"], "o", ms=size, color=TRUTH, mec="white", clip_on=False)
-    set_scale(ax, "x", min(we), max(we), ratio=1.0)
-    ax.set(xlabel=WEBER, ylabel=REST_RADIUS)
-    return ax
 
 
 def design_document(design: Design, surroundings: Surroundings) -> dict[str, float]:

@@ -254,7 +254,7 @@ def test_that_a_preset_can_be_run(command, preset):
         ("diagnose", {"without": ["wall"], "most": 2, "experiments": ["x", "y"]}),
         ("batch", {"each": True, "noise": "published"}),
         ("compare", {"model": "nhkv"}),
-        ("design", {"criterion": "D", "shots": 6, "models": ["nhkv"]}),
+        ("design", {"until": "G:5%", "shots": 6, "models": ["nhkv"]}),
         ("campaign", {"tell": ["files/a.csv", "files/b.csv"], "stop": "G:5%,mu:5%"}),
     ],
 )
