@@ -23,7 +23,6 @@ from imr_torch.campaign.policies import (
 from imr_torch.campaign.stopping import (
     AllOf,
     AnyOf,
-    Budget,
     CampaignState,
     CauseProbability,
     Designs,
@@ -37,7 +36,6 @@ from imr_torch.campaign.stopping import (
 __all__ = [
     "AllOf",
     "AnyOf",
-    "Budget",
     "Campaign",
     "CampaignSettings",
     "CampaignState",

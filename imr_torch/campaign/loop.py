@@ -28,7 +28,7 @@ from imr_torch.campaign.history import (
     describe_proposal,
     replay_journal,
 )
-from imr_torch.campaign.journal import Journal, curve_hash
+from imr_torch.campaign.journal import Journal
 from imr_torch.campaign.learners import Observations
 from imr_torch.campaign.policies import Proposal, Situation
 from imr_torch.campaign.stopping import CampaignState
@@ -164,21 +164,8 @@ class Campaign:
             return None
         gain = proposal.gain if proposal else None
         return self.settings.stop.find_reason(
-            CampaignState(
-                self.belief, tuple(self.experiments), gain, self.forgotten, self.now.finding
-            )
+            CampaignState(self.belief, tuple(self.experiments), gain, self.now.finding)
         )
-
-    @property
-    def forgotten(self) -> tuple[Experiment, ...]:
-        """Experiments that were told and forgotten.
-
-        One whose curve was told again unchanged is not among them.
-        """
-        lost = {curve_hash(experiment): experiment for experiment in self._history.withdrawn}
-        for experiment in self.experiments:
-            lost.pop(curve_hash(experiment), None)
-        return tuple(lost.values())
 
     def ask(self, *, progress: Progress = None) -> Proposal:
         """The design that the policy chooses under the present belief.

@@ -52,7 +52,7 @@ def campaign_document(
         "designs": [list(e.design) for e in campaign.experiments],
         "experiments": campaign.numbers,
         "labels": [e.label for e in campaign.experiments],
-        "forgotten": len(campaign.forgotten),
+        "forgotten": campaign.told - len(campaign.numbers),
         "relative_error": {},
         "model_probabilities": belief.probabilities,
         "intervals": {part.model: intervals(part) for part in belief.models},
