@@ -53,19 +53,6 @@ class Plan:
         check_at_least(self, 1, "repeats")
         check_at_least(self, 1, "collapses", note=", or None for all frames")
 
-    @cached_property
-    def decorrelation(self) -> Float[Tensor, "frames frames"] | None:
-        """``n_t x n_t`` inverse Cholesky factor of the frames' correlation; None for independent
-        frames.
-
-        It is lower triangular: what it makes of the first frames does not depend on later ones, so
-        a window can be cut after it.
-        """
-        factor = self.noise.decorrelation(
-            self.times[None], torch.ones(1, len(self.times), dtype=torch.bool)
-        )
-        return None if factor is None else factor[0]
-
     def cut_to_window(self, experiment: Experiment) -> Experiment:
         """An experiment without the frames after the last collapse of the window."""
         if self.collapses is None:
