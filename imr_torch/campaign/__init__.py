@@ -13,7 +13,6 @@ from imr_torch.campaign.learners import (
 from imr_torch.campaign.loop import Campaign
 from imr_torch.campaign.policies import (
     DesignPolicy,
-    Fixed,
     Optimal,
     Proposal,
     Random,
@@ -44,7 +43,6 @@ __all__ = [
     "Designs",
     "ExactLearner",
     "Finding",
-    "Fixed",
     "GainBelow",
     "Inference",
     "Journal",

@@ -64,13 +64,13 @@ class Campaign:
     >>> import tempfile
     >>> from imr_torch import PolytropicSimulator, reference_case
     >>> from imr_torch.assimilate import SearchOptions
-    >>> from imr_torch.campaign import Campaign, CampaignSettings, ExactLearner, Fixed
+    >>> from imr_torch.campaign import Campaign, CampaignSettings, ExactLearner, SpaceFilling
     >>> from imr_torch.material import PARAMETERS
     >>> from imr_torch.observe import SimulatedLaboratory
     >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
     >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
     >>> learner = ExactLearner(64, SearchOptions(raw_samples=16, starts=2))
-    >>> settings = CampaignSettings(policy=Fixed(((400.0, 0.22),)), learner=learner)
+    >>> settings = CampaignSettings(policy=SpaceFilling(), learner=learner)
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     campaign = Campaign(folder, case.prior, simulator, settings=settings, seed=0)
     ...     step = campaign.tell(laboratory.shoot(campaign.ask().design, seed=0))

@@ -9,7 +9,6 @@ from imr_torch.campaign import (
     CampaignSettings,
     Designs,
     ExactLearner,
-    Fixed,
     GainBelow,
     Journal,
     Optimal,
@@ -30,7 +29,6 @@ from tests.linear import NOISE, LinearSimulator, prior
 
 SPACE = DesignSpace(weber=(200.0, 900.0), rest_radius=(0.15, 0.25))
 PLAN = Plan(linspace(0.1, 2.0, 9), repeats=4, noise=NOISE, collapses=None)
-LISTED = Fixed(((300.0, 0.2), (500.0, 0.16), (700.0, 0.24)))
 QUICK = Optimal(Laplace(draws=3, rivals=3), evaluations=4, initial=3)
 LEARNERS = {
     "exact": ExactLearner(32, SearchOptions(raw_samples=24)),
@@ -40,7 +38,6 @@ POLICIES_HERE = {
     "optimal": QUICK,
     "random": Random(),
     "space-filling": SpaceFilling(),
-    "fixed": LISTED,
 }
 LABORATORY = SimulatedLaboratory(
     LinearSimulator(),
@@ -109,16 +106,6 @@ def test_that_where_a_list_alone_can_be_shot_designs_are_of_it():
         assert {*found} <= weber
     assert {200.0, 900.0} <= {*found[:3]}
     assert {*found[:5]} == weber
-
-
-def test_a_list_is_shot_in_order_and_its_end_is_an_error():
-    assert choose(LISTED, 2).tolist() == [500.0, 0.16]
-    with pytest.raises(InputDataError, match="holds 3 designs and number 4 was asked for"):
-        choose(LISTED, 4)
-    with pytest.raises(InputDataError, match=r"\(2000, 0.2\) is outside"):
-        choose(Fixed(((2000.0, 0.2),)), 1)
-    with pytest.raises(InputDataError, match=r"Fixed.designs is empty"):
-        Fixed(())
 
 
 def test_a_search_asks_in_batches_for_as_many_designs_in_all():

@@ -10,7 +10,6 @@ from imr_torch.campaign import (
     CampaignSettings,
     Designs,
     ExactLearner,
-    Fixed,
     Random,
 )
 from imr_torch.design import DesignSpace, Plan
@@ -228,9 +227,13 @@ def test_that_learning_that_fails_names_the_curve_and_forgetting_it_goes_on(tmp_
 
 
 def test_that_a_refused_campaign_leaves_no_journal_that_refuses_the_corrected_one(tmp_path):
-    with pytest.raises(InputDataError, match="is outside"):
-        campaign(tmp_path, policy=Fixed(((5000.0, 0.2),))).ask()
-    assert campaign(tmp_path, policy=Fixed(((500.0, 0.2),))).ask().step == 1
+    class Refusing:
+        def choose_design(self, situation, *, progress=None):
+            raise InputDataError("nothing is left to shoot")
+
+    with pytest.raises(InputDataError, match="nothing is left"):
+        campaign(tmp_path, policy=Refusing()).ask()
+    assert campaign(tmp_path).ask().step == 1
 
 
 def test_that_an_identity_that_json_cannot_hold_is_refused_by_name(tmp_path):

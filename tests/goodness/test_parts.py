@@ -13,7 +13,7 @@ from torch import Tensor
 from imr_torch import PolytropicSimulator, wide_prior
 from imr_torch.assimilate import ModelFit, SearchOptions, assimilate
 from imr_torch.float64 import linspace, tensor
-from imr_torch.goodness import PartsTest, compare_parts, follow_gel
+from imr_torch.goodness import PartsTest, compare_parts
 from imr_torch.goodness.parts import Part
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise
@@ -134,29 +134,3 @@ def test_that_the_limit_counts_how_many_shifts_are_compared():
     assert PartsTest(whole, parts[:1], {}).limit == pytest.approx(2.0, abs=1e-3)
     assert PartsTest(whole, parts, {}).agree
     assert PartsTest(whole, parts, {}).limit == pytest.approx(2.43, abs=0.01)
-
-
-def test_that_a_gel_that_does_not_change_stays_within_the_intervals_of_its_stretches():
-    held = []
-    for seed in range(12):
-        stretches = follow_gel(*fit_unchanged(seed), SIMULATOR, windows=6)
-        assert len(stretches) == 6
-        assert sum(row["frames"] for row in stretches) >= 80
-        edges = [row["t_star"] for row in stretches]
-        assert edges == sorted(edges)
-        held += [
-            row["intervals"][name][0] <= value <= row["intervals"][name][2]
-            for row in stretches
-            for name, value in GEL.items()
-        ]
-    assert 0.84 < np.mean(held) <= 1.0  # 144 intervals of 90 %, wider by a prior that is right
-
-
-def test_that_a_gel_that_softens_is_seen_over_time():
-    stiff, soft = (simulate_curve({"G": G, "mu": 0.08}) for G in (8e3, 3e3))
-    first, other = int(stiff[:40].argmin()), int(soft[:40].argmin())
-    clean = stiff.clone()
-    rest = len(clean) - max(first, other)
-    clean[first : first + rest] = soft[other : other + rest]
-    stretches = follow_gel(*fit_curve(clean, 0), SIMULATOR, windows=4)
-    assert stretches[0]["intervals"]["G"][0] > stretches[-1]["intervals"]["G"][2]
