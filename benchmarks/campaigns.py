@@ -92,25 +92,37 @@ def run_campaign(case: ReferenceCase, seed: int, designs: int, simulator: Simula
 
 
 def judge_designs(
-    campaign: Campaign, sets: Tensor, *, grid: tuple[int, int] = (25, 17), draws: int = 16
+    campaign: Campaign,
+    sets: Tensor,
+    *,
+    grid: tuple[int, int] = (13, 9),
+    draws: int = 16,
+    scatter: tuple[float, float] = (0.1, 0.05),
+    resolved: float = 0.6,
 ) -> tuple[Tensor, float]:
     """What sets of designs (``n x q x 2``) tell over what the optimal measure of as many shots does: ``n``
-    efficiencies, and the share of the information that any other measure on the grid could be better by.
+    efficiencies, and the share of the information that any other measure could be better by, on a grid twice as
+    fine as that of the bubbles. Shots scatter about what is asked for (relative standard deviations of We and
+    R_inf*), by ``resolved`` of the grid's spacing at least.
     """
     ends = campaign.settings.space.bounds.log10().T.tolist()
-    axes = (
-        torch.logspace(*both, n, dtype=torch.float64) for both, n in zip(ends, grid, strict=True)
-    )
-    nodes = torch.cartesian_prod(*axes)
-    evaluate = criterion_of(campaign, torch.cat((nodes, sets.flatten(0, 1))), draws)
-    count = sets.shape[1]
+    axes = [
+        torch.logspace(*both, 2 * n - 1, dtype=torch.float64)
+        for both, n in zip(ends, grid, strict=True)
+    ]
+    nodes = torch.cartesian_prod(*(axis[::2] for axis in axes))
+    steps = torch.stack([axis[2] / axis[0] for axis in axes]).log()
+    widths = tensor(scatter).maximum(resolved * steps)
+    evaluate = criterion_of(campaign, nodes, draws)
 
-    def evaluate_nodes(shares: Tensor) -> Tensor:
-        return evaluate(torch.nn.functional.pad(count * shares, (0, sets.shape[:2].numel())))
+    def deliver(designs: Tensor) -> Tensor:
+        """Share of the nodes in what is shot where designs (``... x 2``) are asked for."""
+        away = (designs.log()[..., None, :] - nodes.log()) / widths
+        return torch.softmax(-0.5 * away.square().sum(-1), -1)
 
-    value, bound = find_optimum(evaluate_nodes, full((len(nodes),), 1.0 / len(nodes)))
-    one = eye(len(sets)).repeat_interleave(count, 1)
-    found = torch.stack([evaluate(torch.nn.functional.pad(x, (len(nodes), 0))) for x in one])
+    shot = sets.shape[1] * deliver(torch.cartesian_prod(*axes))
+    value, bound = find_optimum(lambda x: evaluate(x @ shot), full((len(shot),), 1.0 / len(shot)))
+    found = torch.stack([evaluate(each.sum(0)) for each in deliver(sets)])
     return (found - value).exp(), bound
 
 

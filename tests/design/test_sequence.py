@@ -96,7 +96,9 @@ def test_that_designs_are_judged_as_those_of_a_gel_that_was_not_known_before(tmp
     for number, design in enumerate(shot[:4]):
         campaign.tell(laboratory.shoot(design, seed=number))
     sets = torch.stack((shot[:4], tensor([300.0, 0.2]).expand(4, 2), shot[[0, 1, 3, 4]]))
-    (ends, middle, lopsided), bound = judge_designs(campaign, sets, grid=(21, 2), draws=3)
+    (ends, middle, lopsided), bound = judge_designs(
+        campaign, sets, grid=(21, 2), draws=3, scatter=(0.0, 0.0)
+    )
     assert bound < 1e-3
     assert float(ends) == pytest.approx(1.0, abs=0.01)
     assert float(middle) < 0.1
