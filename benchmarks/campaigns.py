@@ -107,8 +107,8 @@ def judge_designs(
     """
     ends = campaign.settings.space.bounds.log10().T.tolist()
     axes = [
-        torch.logspace(*both, 2 * n - 1, dtype=torch.float64)
-        for both, n in zip(ends, grid, strict=True)
+        torch.logspace(low, high, 2 * n - 1, dtype=torch.float64)
+        for (low, high), n in zip(ends, grid, strict=True)
     ]
     nodes = torch.cartesian_prod(*(axis[::2] for axis in axes))
     steps = torch.stack([axis[2] / axis[0] for axis in axes]).log()

@@ -32,7 +32,7 @@ from imr_torch.campaign.journal import Journal
 from imr_torch.campaign.learners import Observations
 from imr_torch.campaign.policies import Proposal, Situation
 from imr_torch.campaign.stopping import CampaignState
-from imr_torch.design import DesignSearch, Plan
+from imr_torch.design import Plan
 from imr_torch.errors import ImrError, InputDataError
 from imr_torch.files import Document
 from imr_torch.material import Belief
@@ -236,16 +236,17 @@ class Campaign:
             self._make_batch() if self.experiments else None,
         )
         found = settings.policy.choose_design(situation, progress=progress)
-        self._record_event("ask", **describe_proposal(found))
+        self._record_event(
+            "ask", **describe_proposal(found, self.simulator.conditions.surroundings)
+        )
         return found
 
-    def search(self, number: int) -> DesignSearch | None:
-        """The search behind the proposal of a step, rebuilt from the journal.
-
-        None where there was none.
+    def search(self, number: int) -> Document | None:
+        """The search behind the proposal of a step, as :meth:`DesignSearch.to_dict` has it; None if
+        there was none.
         """
         known = self._history.standing_ask(number)
-        return known.rebuild_search(self.settings.space) if known else None
+        return known.event["search"] if known else None
 
     @one_torch_thread()
     def tell(self, *experiments: Experiment, progress: Progress = None) -> Step:

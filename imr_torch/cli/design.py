@@ -18,13 +18,13 @@ from imr_torch.design import (
     Laplace,
     Plan,
     choose_sequence,
+    design_document,
     load_designs,
     search_design,
 )
 from imr_torch.errors import InputDataError
 from imr_torch.files import Document
 from imr_torch.observe import Nuisance
-from imr_torch.results.plot import design_document, search_document
 from imr_torch.simulate import coarser
 
 _MEASURED = Nuisance(
@@ -93,7 +93,7 @@ def run_command(args: Namespace) -> None:
         progress=args.terminal.plan_stages(DESIGN),
     )
     first, *further = (
-        search_document(step, surroundings)
+        step.to_dict(surroundings)
         | {"eig": step.recommendation.mean, "eig_sd": step.recommendation.sd}
         for step in (*search.earlier, search)
     )

@@ -14,9 +14,15 @@ from imr_torch.design.laplace import Laplace
 from imr_torch.design.next_design import NextDesign
 from imr_torch.design.optimizer import DesignOptimizer, Recommendation
 from imr_torch.design.response import Plan, Shot, radii
-from imr_torch.design.search import DesignSearch, finish_search, search_design
+from imr_torch.design.search import DesignSearch, search_design
 from imr_torch.design.sequence import choose_sequence, inform_draws
-from imr_torch.design.space import DESIGN_NAMES, DesignSpace, ListedDesigns, load_designs
+from imr_torch.design.space import (
+    DESIGN_NAMES,
+    DesignSpace,
+    ListedDesigns,
+    design_document,
+    load_designs,
+)
 
 __all__ = [
     "DESIGN_NAMES",
@@ -35,8 +41,8 @@ __all__ = [
     "Shot",
     "Target",
     "choose_sequence",
+    "design_document",
     "expected_information_gain",
-    "finish_search",
     "inform_draws",
     "load_designs",
     "radii",

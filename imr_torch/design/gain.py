@@ -14,9 +14,9 @@ takes from the errors of many designs the part that all of them share.
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import torch
 from jaxtyping import Float, Int
@@ -63,16 +63,6 @@ class InformationGain:
     def value(self) -> float:
         """The whole gain; NaN when the evaluation failed."""
         return math.nan if self.failed else self.parameters + self.model
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> "InformationGain":
-        """Inverse of ``dataclasses.asdict``, after JSON.
-
-        Other entries, such as the design beside it in a journal, are ignored.
-        """
-        known = {own.name: values[own.name] for own in fields(cls)}
-        known["influence"] = tuple((a, b) for a, b in values["influence"])
-        return cls(**known)
 
     def of_target(self, target: Target) -> "InformationGain":
         """The gain about the parameters alone, about the model alone, or unchanged (``"both"``)."""

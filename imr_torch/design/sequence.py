@@ -102,8 +102,8 @@ def choose_sequence(
     if nodes is None:
         ends = space.bounds.log10().T.tolist()
         axes = (
-            torch.logspace(*both, n, dtype=torch.float64)
-            for both, n in zip(ends, grid, strict=True)
+            torch.logspace(low, high, n, dtype=torch.float64)
+            for (low, high), n in zip(ends, grid, strict=True)
         )
         nodes = torch.cartesian_prod(*axes)
     with torch.no_grad():

@@ -15,7 +15,6 @@ from scipy.stats import gaussian_kde
 from torch import Tensor
 
 from imr_torch.calibration import envelope
-from imr_torch.design import DesignSearch
 from imr_torch.drawing import (
     CYCLE,
     DATA,
@@ -32,8 +31,6 @@ from imr_torch.files import Document
 from imr_torch.float64 import arange, linspace, tensor
 from imr_torch.labels import REST_RADIUS, WEBER, plain
 from imr_torch.material import PARAMETERS, Belief, ModelBelief
-from imr_torch.types import Design
-from imr_torch.units import Surroundings
 
 _LEVELS = linspace(0.002, 0.998, 400)  # of a density
 
@@ -159,50 +156,12 @@ def plot_probabilities(beliefs: Sequence[tuple[str, Belief]]) -> Axes:
     return ax
 
 
-def search_document(search: DesignSearch, surroundings: Surroundings) -> Document:
-    """A search for a design, JSON-ready: the chosen design, the evaluated ones with their gains, and
-    the map of the surrogate's expected information gain (We, R_inf*, and rows of nats over We).
-
-    Args:
-        search: a finished search.
-        surroundings: the liquid side, which fixes Rmax of a Weber number.
-    """
-    rows = []
-    for (we, r), gain in zip(search.designs.tolist(), search.gains, strict=True):
-        row = {"We": we, "R_inf*": r, "counted": gain.counted, "drawn": gain.drawn}
-        if gain.value == gain.value:
-            row |= {"eig": gain.value, "sd": gain.variance**0.5}
-            row |= {"parameters": gain.parameters, "model": gain.model}
-        rows.append(row)
-    bounds = search.optimizer.space.bounds.mT.tolist()
-    weber, rest = (linspace(low, high, 60) for low, high in bounds)
-    model = search.optimizer.model()
-    with torch.no_grad():
-        nats = model.posterior(torch.cartesian_prod(weber, rest)).mean
-    return {
-        "design": design_document(search.recommendation.design, surroundings),
-        "evaluations": rows,
-        "map": {
-            "We": weber.tolist(),
-            "R_inf*": rest.tolist(),
-            "nats": nats.reshape(60, 60).mT.tolist(),
-        },
-    }
-
-
-def design_document(design: Design, surroundings: Surroundings) -> dict[str, float]:
-    """A design (We, R_inf*), JSON-ready: dimensionless, and as sizes in m."""
-    weber, rest = design.tolist()
-    size = float(surroundings.max_radius(weber))
-    return {"We": weber, "R_inf*": rest, "Rmax_m": size, "R_inf_m": rest * size}
-
-
 def draw_information(found: Document) -> Axes:
     """Map of the expected information gain over designs, with the evaluated designs and the chosen
     one.
 
     Args:
-        found: from :func:`search_document`.
+        found: from :meth:`imr_torch.design.DesignSearch.to_dict`.
     """
     values = found["map"]
     chosen = found["design"]

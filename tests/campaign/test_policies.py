@@ -205,31 +205,16 @@ def test_that_several_designs_are_asked_for_at_once_each_beside_those_before_it(
     proposals = run.ask_several(3)
     assert [p.step for p in proposals] == [1, 2, 3]
     assert len({tuple(p.design.tolist()) for p in proposals}) == 3
-    assert proposals[0].search.pending is None
-    assert proposals[2].search.pending.value == pytest.approx(
-        proposals[0].gain + proposals[1].gain, abs=0.3
-    )
     assert [p.design.tolist() for p in campaign(tmp_path, policy=QUICK).ask_several(2)] == [
         p.design.tolist() for p in proposals[:2]
     ]
     alone = campaign(tmp_path / "alone", policy=QUICK).ask()
     assert torch.equal(alone.design, proposals[0].design)
-    rebuilt = campaign(tmp_path, policy=QUICK).search(2)
-    assert torch.equal(rebuilt.optimizer.train_Yvar, proposals[1].search.optimizer.train_Yvar)
-    assert torch.equal(rebuilt.optimizer.train_Y, proposals[1].search.optimizer.train_Y)
+    surroundings = run.simulator.conditions.surroundings
+    kept = campaign(tmp_path, policy=QUICK).search(2)
+    assert kept == proposals[1].search.to_dict(surroundings)
     with pytest.raises(InputDataError, match="q is 0; expected at least 1"):
         run.ask_several(0)
-
-
-def test_that_a_search_is_rebuilt_from_the_journal_of_an_old_version(tmp_path):
-    proposal = campaign(tmp_path, policy=QUICK).ask()
-    start, asked = Journal(tmp_path).events
-    asked["search"] |= {"common": True, "strategy": None, "cost": None}
-    for row in asked["evaluations"]:
-        row["bias"] = None
-    rewritten(tmp_path, [start, asked])
-    search = campaign(tmp_path, policy=QUICK).search(1)
-    assert torch.equal(search.recommendation.design, proposal.design)
 
 
 @pytest.mark.parametrize("policy", [QUICK, SpaceFilling()], ids=["optimal", "space-filling"])
