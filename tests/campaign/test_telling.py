@@ -227,6 +227,7 @@ def test_that_learning_that_fails_names_the_curve_and_forgetting_it_goes_on(tmp_
 
 
 def test_that_a_refused_campaign_leaves_no_journal_that_refuses_the_corrected_one(tmp_path):
+    @dataclass(frozen=True)
     class Refusing:
         def choose_design(self, situation, *, progress=None):
             raise InputDataError("nothing is left to shoot")
