@@ -134,7 +134,7 @@ class Half(InformationEstimator):
             parameters=gain.parameters / 2,
             model=gain.model / 2,
             variance=gain.variance / 4,
-            influence=(),
+            influence=None,
         )
 
 

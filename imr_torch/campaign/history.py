@@ -91,14 +91,14 @@ class Ask:
     """A design that was asked for.
 
     Args:
-        event: what the journal keeps of it.
         proposal: the design and its gain.
+        search: what the journal keeps of how it was found.
         failures: shots of it that failed.
         stale: whether an experiment was forgotten since.
     """
 
-    event: Document
     proposal: Proposal
+    search: Document | None
     failures: int = 0
     stale: bool = False
 
@@ -176,10 +176,10 @@ class History:
                 "gain": (float() | int() | None) as gain,
                 "gain_sd": (float() | int() | None) as sd,
                 "reason": str(reason),
-                "search": dict() | None,
+                "search": (dict() | None) as search,
             }:
                 design = tensor([weber, rest])
-                self.asked[step] = Ask(event, Proposal(step, design, gain, sd, reason=reason))
+                self.asked[step] = Ask(Proposal(step, design, gain, sd, reason=reason), search)
             case {"event": "failed", "step": int(step), "label": str(), "reason": str()}:
                 if ask := self.asked.get(step):
                     ask.failures += 1

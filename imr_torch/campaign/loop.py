@@ -246,7 +246,7 @@ class Campaign:
         there was none.
         """
         known = self._history.standing_ask(number)
-        return known.event["search"] if known else None
+        return known.search if known else None
 
     @one_torch_thread()
     def tell(self, *experiments: Experiment, progress: Progress = None) -> Step:
