@@ -39,7 +39,15 @@ class DrawnInformation(NamedTuple):
 
 
 def inform_draws(shot: Shot, draws: int, *, seed: int) -> list[DrawnInformation]:
-    """What one shot at each design of ``shot`` tells about draws of each model."""
+    """What one shot at each design of ``shot`` tells about draws of each model.
+
+    >>> from imr_torch.material import reference_case
+    >>> from imr_torch.simulate import PolytropicSimulator
+    >>> designs = torch.tensor([[300.0, 0.2], [800.0, 0.2]], dtype=torch.float64)
+    >>> shot = Shot(reference_case("soft-pa").prior, designs, PolytropicSimulator(), Plan())
+    >>> [(round(part.chance, 2), tuple(part.of_shots.shape)) for part in inform_draws(shot, 3, seed=0)]
+    [(0.5, (3, 2, 2, 2)), (0.5, (3, 2, 3, 3))]
+    """
     controls = draw_cloud_controls(shot, draws, generator(seed))
     chances = shot.belief.probabilities.values()
     return [

@@ -176,7 +176,12 @@ def load_designs(path: str | Path) -> ListedDesigns:
 
 
 def design_document(design: Design, surroundings: Surroundings) -> dict[str, float]:
-    """A design (We, R_inf*), JSON-ready: dimensionless, and as sizes in m."""
+    """A design (We, R_inf*), JSON-ready: dimensionless, and as sizes in m.
+
+    >>> from imr_torch.units import Surroundings
+    >>> round(design_document(tensor([400.0, 0.25]), Surroundings())["Rmax_m"], 6)
+    0.000442
+    """
     weber, rest = design.tolist()
     size = float(surroundings.max_radius(weber))
     return {"We": weber, "R_inf*": rest, "Rmax_m": size, "R_inf_m": rest * size}
