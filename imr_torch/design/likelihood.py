@@ -39,7 +39,7 @@ class Data(Rows):
 
 def observe_gels(seen: Response, plan: Plan, source: torch.Generator) -> Data:
     """One datum of each gel, with nuisances and noise drawn."""
-    times = plan.times[None]
+    times = plan.times.expand(seen.radius.shape[1:])
     noise = randn(seen.radius.shape, generator=source)
     noise = plan.noise.correlated(noise, times, torch.isfinite(times))
     nuisance = randn(*seen.by_nuisance.shape[:2], seen.by_nuisance.shape[-1], 1, generator=source)
