@@ -69,6 +69,10 @@ class Gels:
         ends = accumulate(map(len, self.parts), initial=0)
         return [slice(first, end) for first, end in pairwise(ends)]
 
+    def at_designs(self, place: Int[Tensor, "shots"]) -> "Gels":
+        """The same gels at designs of some places, as in a sequence of shots."""
+        return Gels(tuple(part.at_designs(place) for part in self.parts), self.orders)
+
     def observe(self, shot: Shot, source: torch.Generator) -> Data:
         """A datum of each gel, model after model."""
         data = [observe_gels(part, shot.plan, source) for part in self.parts]
