@@ -32,7 +32,7 @@ from imr_torch.campaign import (
     forecast_shots,
     stopping_rule,
 )
-from imr_torch.design import Laplace, Plan, optimal_measure
+from imr_torch.design import Laplace, Plan, choose_sequence
 from imr_torch.float64 import tensor
 from imr_torch.material import PARAMETERS, Belief, Cloud, reference_case
 from imr_torch.material.belief import even_belief
@@ -99,8 +99,7 @@ def count_shots(name: str, seed: int) -> Line:
 def predict_shots(name: str) -> Line:
     """The prediction of a setting: shots of the draws, by chosen designs and by one repeated."""
     setting = SETTINGS[name]
-    measure = optimal_measure(setting.belief, SIMULATOR, shots=MOST // 4, plan=setting.plan)
-    designs = measure.choose_sequence(MOST)
+    designs = choose_sequence(setting.belief, SIMULATOR, MOST, plan=setting.plan)
     rule = stopping_rule(setting.target)
     assert rule is not None
     line: Line = {"designs": designs.tolist()}

@@ -22,7 +22,6 @@ from imr_torch.gap import diagnose
 from imr_torch.material import CASES, MATERIALS
 from imr_torch.material import PARTS as KNOWN_PARTS
 from imr_torch.material.media import NAMED
-from imr_torch.population import SCALE
 from imr_torch.simulate import ENGINES, LIQUIDS, RADIAL_EQUATIONS
 
 HEAVY = ("torch", "numpy", "botorch", "matplotlib", "numba", "scipy")
@@ -87,10 +86,6 @@ def test_that_the_version_is_that_of_the_package(capsys):
 )
 def test_that_names_written_out_for_help_are_those_of_the_registries(written, meant):
     assert tuple(written) == tuple(meant)
-
-
-def test_that_a_default_that_is_only_said_is_the_one_that_holds():
-    assert f"(default {SCALE:g})" in read_settings("characterize", "--scatter-scale")["help"]
 
 
 def test_that_public_names_of_the_package_are_what_their_modules_define():

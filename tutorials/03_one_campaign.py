@@ -17,7 +17,7 @@ from imr_torch.design import Laplace, Plan
 from imr_torch.material import PARAMETERS, reference_case
 from imr_torch.observe import SimulatedLaboratory
 from imr_torch.random import child
-from imr_torch.results.plot import draw_information, plot_parameter, search_document
+from imr_torch.results.plot import draw_information, plot_parameter
 from imr_torch.simulate import PolytropicSimulator
 
 SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
@@ -72,9 +72,8 @@ for number in range(len(campaign.experiments) + 1, (1 if SMOKE else 2) + 1):
 # %%
 again = Campaign(OUT, case.prior, simulator, settings=settings, seed=1)
 assert again.belief.to_dict() == campaign.belief.to_dict()
-search = again.search(1)
-if search:
-    found = search_document(search, simulator.conditions.surroundings)
+found = again.search(1)
+if found:
     draw_information(found).figure.savefig(OUT / "information.png")
 history = [("prior", case.prior["gen_qkv"]), ("posterior", campaign.belief["gen_qkv"])]
 plot_parameter(history, "alpha", truth=case.truth["alpha"]).figure.savefig(OUT / "alpha.png")

@@ -27,7 +27,7 @@ from imr_torch.design import (
     search_design,
 )
 from imr_torch.material import reference_case
-from imr_torch.results.plot import draw_information, search_document
+from imr_torch.results.plot import draw_information
 from imr_torch.simulate import PolytropicSimulator
 
 SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
@@ -91,7 +91,7 @@ chosen = search.recommendation
 print(
     f"surrogate: {space.describe(chosen.design, simulator.conditions.surroundings)}, {chosen.mean:.2f} +- {chosen.sd:.2f} nats"
 )
-found = search_document(search, simulator.conditions.surroundings)
+found = search.to_dict(simulator.conditions.surroundings)
 draw_information(found).figure.savefig(OUT / "information.png")
 
 # %% [markdown]
@@ -134,7 +134,7 @@ class Half(InformationEstimator):
             parameters=gain.parameters / 2,
             model=gain.model / 2,
             variance=gain.variance / 4,
-            influence=(),
+            influence=None,
         )
 
 

@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
-from benchmarks.bad_inputs.case import MODELS, QUICK, Case, example, good, table, text_of
+from benchmarks.bad_inputs.case import MODELS, QUICK, Case, good, table
 
 TABLE = Path(__file__).with_suffix(".txt")
 
@@ -49,8 +49,3 @@ def files() -> Iterator[Case]:
         yield Case("option", f"characterize files {names}", command, about, make)
     batch = ("batch", "gel.csv", "--out", "{here}/out", "--workers", "1", *QUICK)
     yield Case("option", "batch of a bad file", batch, "shots", table("a,b\n1,2\n"))
-    two = table(text_of(example(("shot_1", "shot_2"))), "two.csv", sidecar=False)
-    for scale in ("0", "-1", "nan", "inf"):
-        words = ("--population", f"--scatter-scale={scale}", "--rest-radius=.2:.01", *QUICK)
-        command = ("characterize", "two.csv", *MODELS, *words)
-        yield Case("option", f"--scatter-scale={scale}", command, "scatter_scale", two)

@@ -13,7 +13,6 @@ from imr_torch.campaign.learners import (
 from imr_torch.campaign.loop import Campaign
 from imr_torch.campaign.policies import (
     DesignPolicy,
-    Fixed,
     Optimal,
     Proposal,
     Random,
@@ -23,7 +22,6 @@ from imr_torch.campaign.policies import (
 from imr_torch.campaign.stopping import (
     AllOf,
     AnyOf,
-    Budget,
     CampaignState,
     CauseProbability,
     Designs,
@@ -37,7 +35,6 @@ from imr_torch.campaign.stopping import (
 __all__ = [
     "AllOf",
     "AnyOf",
-    "Budget",
     "Campaign",
     "CampaignSettings",
     "CampaignState",
@@ -46,7 +43,6 @@ __all__ = [
     "Designs",
     "ExactLearner",
     "Finding",
-    "Fixed",
     "GainBelow",
     "Inference",
     "Journal",

@@ -12,8 +12,6 @@ import math
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Int
-from torch import Tensor
 
 from imr_torch.assimilate.gauss_newton import inverse_chol
 from imr_torch.campaign.stopping import (
@@ -28,7 +26,6 @@ from imr_torch.design import Laplace, Plan, Shot
 from imr_torch.design.laplace import local_precision
 from imr_torch.design.likelihood import (
     Data,
-    Gels,
     draw_cloud_controls,
     infer_linear,
     simulate_gels,
@@ -125,11 +122,11 @@ def forecast_shots(
     estimator = Laplace(draws, rivals=draws)
     with torch.no_grad():
         seen = simulate_gels(shot, draw_cloud_controls(shot, draws, source))
-        data = _take_shots(seen, place).observe(shot, source)
+        data = seen.at_designs(place).observe(shot, source)
         chances = shot.belief.log_probabilities.expand(len(data), -1)
         counts = full((len(data),), math.inf)
         for count in range(1, len(designs) + 1):
-            gels = _take_shots(seen, place[:count])
+            gels = seen.at_designs(place[:count])
             told = Data(data.radius[:, :count], data.window[:, :count])
             if about_models:
                 so_far = replace(shot, designs=designs[:count])
@@ -172,12 +169,6 @@ def check_target(rule: StoppingRule, belief: Belief) -> bool:
         f"{rule} is no target that shots are counted for; name one of {', '.join(known)}, as "
         f"{known[0]}:5%, or, of several models, model:.99."
     )
-
-
-def _take_shots(seen: Gels, place: Int[Tensor, "shots"]) -> Gels:
-    """Gels as they are seen in a sequence of designs that were simulated."""
-    parts = [gel.take_seen(lambda seen: seen[:, place]) for gel in seen.parts]
-    return Gels(tuple(parts), seen.orders)
 
 
 def camera_variants(plan: Plan) -> dict[str, Plan]:

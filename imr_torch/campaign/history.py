@@ -15,12 +15,8 @@ from imr_torch.campaign.learners import ExactLearner, Finding, Inference, Learne
 from imr_torch.campaign.policies import DesignPolicy, Optimal, Proposal
 from imr_torch.campaign.stopping import StoppingRule
 from imr_torch.design import (
-    DesignOptimizer,
-    DesignSearch,
     DesignSpace,
-    InformationGain,
     Plan,
-    finish_search,
 )
 from imr_torch.errors import ImrError, InputDataError
 from imr_torch.files import Document, without_nonfinite
@@ -28,6 +24,7 @@ from imr_torch.float64 import tensor
 from imr_torch.material import Belief
 from imr_torch.observe import Experiment, Noise
 from imr_torch.select import Evidence
+from imr_torch.units import Surroundings
 
 
 @dataclass(frozen=True)
@@ -94,55 +91,28 @@ class Ask:
     """A design that was asked for.
 
     Args:
-        event: what the journal keeps of it.
         proposal: the design and its gain.
+        search: what the journal keeps of how it was found.
         failures: shots of it that failed.
         stale: whether an experiment was forgotten since.
     """
 
-    event: Document
     proposal: Proposal
+    search: Document | None
     failures: int = 0
     stale: bool = False
 
-    def rebuild_search(self, space: DesignSpace) -> DesignSearch | None:
-        """The search behind the design, told to its optimizer again; None where there was none."""
-        search = self.event["search"]
-        if not search:
-            return None
-        rows = self.event["evaluations"]
-        before = self.event["pending"]
-        return finish_search(
-            # other entries of a journal's search are ignored
-            DesignOptimizer(space, seed=search["seed"], initial=search["initial"]),
-            tensor([row["design"] for row in rows]),
-            [InformationGain.from_dict(row) for row in rows],
-            InformationGain.from_dict(before) if before else None,
-        )
 
-
-def describe_proposal(proposal: Proposal) -> Document:
+def describe_proposal(proposal: Proposal, surroundings: Surroundings) -> Document:
     """What the journal keeps of a design that was asked for."""
-    document = {
+    return {
         "step": proposal.step,
         "design": proposal.design.tolist(),
         "gain": proposal.gain,
         "gain_sd": proposal.gain_sd,
         "reason": proposal.reason,
-        "search": None,
-        "pending": None,
-        "evaluations": [],
+        "search": proposal.search and proposal.search.to_dict(surroundings),
     }
-    if search := proposal.search:
-        pending = search.pending
-        tried = zip(search.gains, search.designs.tolist(), strict=True)
-        evaluations = [asdict(gain) | {"design": design} for gain, design in tried]
-        document |= {
-            "search": {"seed": search.optimizer.seed, "initial": search.optimizer.initial},
-            "pending": without_nonfinite(asdict(pending))[0] if pending else None,
-            "evaluations": without_nonfinite(evaluations)[0],
-        }
-    return document
 
 
 def describe_inference(inference: Inference) -> Document:
@@ -206,10 +176,10 @@ class History:
                 "gain": (float() | int() | None) as gain,
                 "gain_sd": (float() | int() | None) as sd,
                 "reason": str(reason),
-                "evaluations": list(),
+                "search": (dict() | None) as search,
             }:
                 design = tensor([weber, rest])
-                self.asked[step] = Ask(event, Proposal(step, design, gain, sd, reason=reason))
+                self.asked[step] = Ask(Proposal(step, design, gain, sd, reason=reason), search)
             case {"event": "failed", "step": int(step), "label": str(), "reason": str()}:
                 if ask := self.asked.get(step):
                     ask.failures += 1

@@ -28,11 +28,11 @@ from imr_torch.campaign.history import (
     describe_proposal,
     replay_journal,
 )
-from imr_torch.campaign.journal import Journal, curve_hash
+from imr_torch.campaign.journal import Journal
 from imr_torch.campaign.learners import Observations
 from imr_torch.campaign.policies import Proposal, Situation
 from imr_torch.campaign.stopping import CampaignState
-from imr_torch.design import DesignSearch, Plan
+from imr_torch.design import Plan
 from imr_torch.errors import ImrError, InputDataError
 from imr_torch.files import Document
 from imr_torch.material import Belief
@@ -64,13 +64,13 @@ class Campaign:
     >>> import tempfile
     >>> from imr_torch import PolytropicSimulator, reference_case
     >>> from imr_torch.assimilate import SearchOptions
-    >>> from imr_torch.campaign import Campaign, CampaignSettings, ExactLearner, Fixed
+    >>> from imr_torch.campaign import Campaign, CampaignSettings, ExactLearner, SpaceFilling
     >>> from imr_torch.material import PARAMETERS
     >>> from imr_torch.observe import SimulatedLaboratory
     >>> case, simulator = reference_case("soft-pa"), PolytropicSimulator()
     >>> laboratory = SimulatedLaboratory(simulator, PARAMETERS.pack(case.truth), repeats=5)
     >>> learner = ExactLearner(64, SearchOptions(raw_samples=16, starts=2))
-    >>> settings = CampaignSettings(policy=Fixed(((400.0, 0.22),)), learner=learner)
+    >>> settings = CampaignSettings(policy=SpaceFilling(), learner=learner)
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     campaign = Campaign(folder, case.prior, simulator, settings=settings, seed=0)
     ...     step = campaign.tell(laboratory.shoot(campaign.ask().design, seed=0))
@@ -164,21 +164,8 @@ class Campaign:
             return None
         gain = proposal.gain if proposal else None
         return self.settings.stop.find_reason(
-            CampaignState(
-                self.belief, tuple(self.experiments), gain, self.forgotten, self.now.finding
-            )
+            CampaignState(self.belief, tuple(self.experiments), gain, self.now.finding)
         )
-
-    @property
-    def forgotten(self) -> tuple[Experiment, ...]:
-        """Experiments that were told and forgotten.
-
-        One whose curve was told again unchanged is not among them.
-        """
-        lost = {curve_hash(experiment): experiment for experiment in self._history.withdrawn}
-        for experiment in self.experiments:
-            lost.pop(curve_hash(experiment), None)
-        return tuple(lost.values())
 
     def ask(self, *, progress: Progress = None) -> Proposal:
         """The design that the policy chooses under the present belief.
@@ -249,16 +236,17 @@ class Campaign:
             self._make_batch() if self.experiments else None,
         )
         found = settings.policy.choose_design(situation, progress=progress)
-        self._record_event("ask", **describe_proposal(found))
+        self._record_event(
+            "ask", **describe_proposal(found, self.simulator.conditions.surroundings)
+        )
         return found
 
-    def search(self, number: int) -> DesignSearch | None:
-        """The search behind the proposal of a step, rebuilt from the journal.
-
-        None where there was none.
+    def search(self, number: int) -> Document | None:
+        """The search behind the proposal of a step, as :meth:`DesignSearch.to_dict` has it; None if
+        there was none.
         """
         known = self._history.standing_ask(number)
-        return known.rebuild_search(self.settings.space) if known else None
+        return known.search if known else None
 
     @one_torch_thread()
     def tell(self, *experiments: Experiment, progress: Progress = None) -> Step:

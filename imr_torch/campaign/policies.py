@@ -1,5 +1,5 @@
-"""How the next design is chosen: the most informative design, a random one, a space-filling one, or
-a list made before.
+"""How the next design is chosen: the most informative design, a random one, or a
+space-filling one.
 
 A policy sees what is believed, what can be shot and which experiment it is, and answers with a
 :class:`Proposal`. All are frozen dataclasses, so a journal can tell whether it was written by the
@@ -19,11 +19,10 @@ from imr_torch.design import (
     search_design,
 )
 from imr_torch.errors import InputDataError, check_at_least
-from imr_torch.float64 import tensor
 from imr_torch.material import Belief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
-from imr_torch.simulate import Simulator, check_designs, coarser
+from imr_torch.simulate import Simulator, coarser
 from imr_torch.types import Design, Designs, Progress
 
 
@@ -205,43 +204,3 @@ class SpaceFilling:
         seed = child(situation.seed, "space-filling")
         designs = situation.space.spread_designs(number, seed=seed)
         return Proposal(number, designs[(number - 1) % len(designs)])
-
-
-@dataclass(frozen=True)
-class Fixed:
-    """A list of designs made before, in order.
-
-    Args:
-        designs: (We, R_inf*) of each experiment.
-
-    >>> from imr_torch import PolytropicSimulator, reference_case
-    >>> from imr_torch.campaign import Fixed, Situation
-    >>> from imr_torch.design import DesignSpace, Plan
-    >>> prior, space = reference_case("soft-pa").prior, DesignSpace((100.0, 1000.0), (0.14, 0.3))
-    >>> situation = Situation(2, prior, PolytropicSimulator(), space, Plan(), seed=0)
-    >>> Fixed(((400.0, 0.2), (600.0, 0.25))).choose_design(situation).design.tolist()  # the second experiment
-    [600.0, 0.25]
-    """
-
-    designs: tuple[tuple[float, float], ...]
-
-    def __post_init__(self) -> None:
-        if not self.designs:
-            raise InputDataError("Fixed.designs is empty; name at least one (We, R_inf*).")
-        check_designs(tensor(self.designs))
-
-    def choose_design(self, situation: Situation, *, progress: Progress = None) -> Proposal:
-        """See :class:`DesignPolicy`.
-
-        Raises:
-            InputDataError: when the list is at its end, or the design is outside the space.
-        """
-        if situation.number > len(self.designs):
-            raise InputDataError(
-                f"The list holds {len(self.designs)} designs and number {situation.number} was "
-                "asked for; "
-                "ask for fewer experiments, or start a campaign with a longer list."
-            )
-        design = tensor(self.designs[situation.number - 1])
-        situation.space.check_inside(design)
-        return Proposal(situation.number, design)

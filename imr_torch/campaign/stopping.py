@@ -4,10 +4,7 @@ A rule looks at what is believed and what was done, and answers with a reason or
 ``AnyOf`` and ``AllOf`` combine rules; a rule about the gain of the next experiment gives none while
 that gain has not been estimated.
 
-An experiment that was forgotten counts as spent and not as data: ``Budget`` charges it, ``Designs``
-and all rules about the belief do not see it. A curve that was forgotten and told again unchanged is
-one shot, charged once; a corrected curve is charged again, since nothing says that it is of the
-same shot.
+No rule sees an experiment that was forgotten.
 """
 
 import math
@@ -29,7 +26,6 @@ class CampaignState:
         experiments: those that count as data.
         gain: expected information gain of the experiment that is proposed, nats; None when not
             known.
-        forgotten: those that were shot and do not count as data any more.
         finding: of the last diagnosis; None in a campaign that makes none.
 
     >>> from imr_torch import wide_prior
@@ -42,7 +38,6 @@ class CampaignState:
     belief: Belief
     experiments: tuple[Experiment, ...]
     gain: float | None = None
-    forgotten: tuple[Experiment, ...] = ()
     finding: Finding | None = None
 
 
@@ -82,8 +77,7 @@ class Designs:
     def find_reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
         done = len(state.experiments)
-        lost = f", besides {len(state.forgotten)} that were forgotten" if state.forgotten else ""
-        return f"{done} designs were shot{lost}" if done >= self.count else None
+        return f"{done} designs were shot" if done >= self.count else None
 
 
 @dataclass(frozen=True)
@@ -225,52 +219,6 @@ class GainBelow:
 
 
 @dataclass(frozen=True)
-class Budget:
-    """Stop when the next experiment, at the cost of the last, would exceed the budget.
-
-    Args:
-        total: the budget, in any unit.
-        per_design: cost of setting up a design.
-        per_curve: cost of each repeat.
-
-    >>> import torch
-    >>> from imr_torch import wide_prior
-    >>> from imr_torch.campaign import Budget, CampaignState
-    >>> from imr_torch.observe import Experiment
-    >>> times, radius = torch.tensor([[0.0, 0.5], [1.0, 0.84]], dtype=torch.float64)
-    >>> shot = Experiment("shot 1", (400.0, 0.22), times, radius[None])
-    >>> Budget(total=5.0, per_design=3.0).find_reason(CampaignState(wide_prior(["nhkv"]), (shot,)))
-    '3 of the budget of 5 are spent'
-    """
-
-    total: float
-    per_design: float = 1.0
-    per_curve: float = 0.0
-
-    def __post_init__(self) -> None:
-        costs = (self.total, self.per_design, self.per_curve)
-        if not all(0.0 <= c < math.inf for c in costs) or self.per_design + self.per_curve <= 0.0:
-            raise InputDataError(
-                f"Budget has total {self.total}, per_design {self.per_design} and per_curve "
-                f"{self.per_curve}; "
-                "expected finite numbers >= 0, and a cost of something."
-            )
-
-    def find_reason(self, state: CampaignState) -> str | None:
-        """See :class:`StoppingRule`."""
-        costs, lost = (
-            [self.per_design + self.per_curve * e.repeats for e in group]
-            for group in (state.experiments, state.forgotten)
-        )
-        following = [self.per_design + self.per_curve, *lost, *costs][-1]
-        spent = sum(costs) + sum(lost)
-        if spent + following <= self.total:
-            return None
-        of_these = f", {sum(lost):g} of these on experiments that were forgotten" if lost else ""
-        return f"{spent:g} of the budget of {self.total:g} are spent{of_these}"
-
-
-@dataclass(frozen=True)
 class AnyOf:
     """Stop when one of several rules says so.
 
@@ -326,7 +274,6 @@ RULES = {
     "probability": ModelProbability,
     "cause": CauseProbability,
     "gain": GainBelow,
-    "budget": Budget,
 }
 
 
@@ -335,7 +282,7 @@ def stopping_rule(*texts: str) -> StoppingRule | None:
     which may ask for several.
 
     ``stopping_rule("sd=0.01,probability=0.99", "designs=5")`` stops after five designs, or once
-    parameters *and* model are known. ``budget=TOTAL`` or ``budget=TOTAL:PER_DESIGN:PER_CURVE``.
+    parameters *and* model are known.
     ``"G:5%,model:.99"`` names parameters and how well they are to be known, or ``model``.
 
     Returns:
@@ -364,7 +311,7 @@ def _parse_rule(text: str) -> StoppingRule:
             least = float(goal.removesuffix("%")) / (100.0 if goal.endswith("%") else 1.0)
             return ModelProbability(least) if name == "model" else RelativeSd(least, name)
         number = int if name == "designs" else float
-        return RULES[name](*map(number, values.split(":")))
+        return RULES[name](number(values))
     except InputDataError as error:
         raise InputDataError(f"{text!r} is not a stopping rule: {error}") from None
     except (KeyError, TypeError, ValueError):

@@ -23,7 +23,7 @@ from imr_torch.assimilate.spikes import frames_left_out
 from imr_torch.characterization.request import EFFORTS, check_request, medium_of
 from imr_torch.characterization.result import Characterization
 from imr_torch.gap import medium_sensitivities
-from imr_torch.goodness import check_fit, compare_parts, follow_gel
+from imr_torch.goodness import check_fit, compare_parts
 from imr_torch.material import Belief, wide_prior
 from imr_torch.observe import (
     CollapseShot,
@@ -37,7 +37,7 @@ from imr_torch.observe import (
     prepare,
 )
 from imr_torch.observe.convert import find_frame_use
-from imr_torch.population import SCALE, fit_shots, infer_population
+from imr_torch.population import fit_shots, infer_population
 from imr_torch.random import child
 from imr_torch.record import ALL_ALIKE, RecordOptions, describe_record
 from imr_torch.select import evidences, update
@@ -64,8 +64,6 @@ def characterize(
     shots: Sequence[CollapseShot] = (),
     weigh_odd_shots: bool = True,
     population: bool = False,
-    over_time: bool = False,
-    scatter_scale: float = SCALE,
     seed: int = 0,
     on_prepared: Callable[[Prepared], object] | None = None,
     progress: Progress = None,
@@ -105,9 +103,6 @@ def characterize(
             little in the fits (:meth:`imr_torch.record.Record.weighted`), or as much as the others.
         population: whether each curve is also fitted by itself, under the most probable model, and
             how much the gel differs between them is inferred (:mod:`imr_torch.population`).
-        over_time: whether the gel of one stretch of the event after another is fitted too
-            (:func:`imr_torch.goodness.follow_gel`), under the most probable model.
-        scatter_scale: of the half-normal prior of the scatters between curves.
         seed: of everything random.
         on_prepared: called with the curves as they will be fitted, before the first fit.
         progress: called with one line per step.
@@ -146,7 +141,6 @@ def characterize(
         prior,
         population=population,
         effort=effort,
-        scatter_scale=scatter_scale,
     )
     simulator = simulator or TransportSimulator(accuracy=ACCURACIES["search"])
     medium = medium_of(traces, medium, simulator.conditions.surroundings, shots)
@@ -208,9 +202,6 @@ def characterize(
         curves = weighted[best].of_curves(weighted.batch)
         tested = check_fit(*curves, simulator, seed=child(seed, "check"))
         parts = compare_parts(*curves, simulator)
-    stretches = None
-    if over_time and len(traces):
-        stretches = follow_gel(*weighted[best].of_curves(weighted.batch), simulator)
     gels = None
     if population:
         own = child(seed, "population")
@@ -225,7 +216,7 @@ def characterize(
         )
         if progress:
             progress(ProgressLine("population: scatter of the gel", stage="population"))
-        gels = infer_population(alone, scale=scatter_scale, seed=own)
+        gels = infer_population(alone, seed=own)
     used = tuple(
         find_frame_use(
             trace,
@@ -246,7 +237,6 @@ def characterize(
         used,
         tested,
         parts,
-        stretches,
         medium,
         moved,
         frames_left_out(fitted, prepared.experiments),

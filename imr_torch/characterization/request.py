@@ -2,7 +2,6 @@
 what is refused before it begins: too few data for what is asked, and unknown choices.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,7 +16,7 @@ from imr_torch.observe import (
     TraceSet,
     gel_medium,
 )
-from imr_torch.population import MOST, SCALE
+from imr_torch.population import MOST
 from imr_torch.units import Surroundings
 
 
@@ -66,7 +65,6 @@ def check_request(
     *,
     population: bool,
     effort: str,
-    scatter_scale: float,
 ) -> None:
     """Raise unless each choice is a known one, and there are as many data, and of the kind, that
     what is asked for needs.
@@ -82,10 +80,6 @@ def check_request(
             )
         if len(traces) == 1:
             raise InputDataError(f"{asked}, and there is 1; give at least two, or leave this out.")
-    if not 0.0 < scatter_scale < math.inf:
-        raise InputDataError(
-            f"scatter_scale is {scatter_scale}; expected a positive number, for example {SCALE:g}."
-        )
     if effort not in EFFORTS:
         raise InputDataError(f"effort is {effort!r}; expected one of {', '.join(EFFORTS)}.")
     large = [part for part in prior.models if len(part.of_gel) > MOST]

@@ -1,7 +1,6 @@
 """What the options of ``imr-torch campaign`` say of choosing, learning and ending."""
 
 from argparse import Namespace
-from collections.abc import Callable
 from dataclasses import replace
 
 from imr_torch.assimilate import NOISE_ROUNDS
@@ -9,26 +8,20 @@ from imr_torch.campaign import (
     CampaignSettings,
     DesignPolicy,
     ExactLearner,
-    Fixed,
     Learner,
     Optimal,
     Random,
     SpaceFilling,
     stopping_rule,
 )
-from imr_torch.cli.common import METHODS, parse_pair, parse_values, refuse_options
+from imr_torch.cli.common import METHODS, parse_values, refuse_options
 from imr_torch.cli.design import plan_of, space_of
 from imr_torch.errors import InputDataError
-from imr_torch.float64 import tensor
 from imr_torch.gap import CauseLearner, TellCausesApart
 from imr_torch.material import Belief, ReferenceCase, library
 from imr_torch.material.belief import even_belief
 
 _CAUSE_SURE = "cause=0.9"  # when a campaign for a cause ends, if nothing else is asked for
-_BASELINES: dict[str, Callable[[], DesignPolicy]] = {
-    "random": Random,
-    "space-filling": SpaceFilling,
-}
 
 
 def settings_of(args: Namespace) -> CampaignSettings:
@@ -37,27 +30,21 @@ def settings_of(args: Namespace) -> CampaignSettings:
     options = METHODS["map" if args.method == "exact" else args.method]
     learner: Learner = ExactLearner(options=options, noise_rounds=rounds)
     initial = min(Optimal.initial, args.evaluations)
-    policy = (
-        Optimal(evaluations=args.evaluations, initial=initial)
-        if args.policy == "optimal"
-        else _read_baseline(args.policy)
-    )
-    space = space_of(args)
+    policies: dict[str, DesignPolicy] = {
+        "optimal": Optimal(evaluations=args.evaluations, initial=initial),
+        "random": Random(),
+        "space-filling": SpaceFilling(),
+    }
     plan = plan_of(args)
     rules = args.stop
     if args.goal == "cause":
         learner = CauseLearner(tuple(args.effects or ()), estimate_noise=not args.case)
         rules = rules or [_CAUSE_SURE]
-        policy = TellCausesApart(learner) if args.policy == "optimal" else policy
+        policies["optimal"] = TellCausesApart(learner)
         plan = replace(plan, collapses=None) if args.case else plan
-    if isinstance(policy, Fixed):
-        space.check_inside(tensor(policy.designs))
-        if args.case and not args.stop and args.designs > len(policy.designs):
-            raise InputDataError(
-                f"--policy lists {len(policy.designs)} designs and --designs is {args.designs}; "
-                "list as many."
-            )
-    return CampaignSettings(space, plan, policy, learner, stopping_rule(*rules))
+    return CampaignSettings(
+        space_of(args), plan, policies[args.policy], learner, stopping_rule(*rules)
+    )
 
 
 def check_goal(args: Namespace) -> None:
@@ -112,15 +99,3 @@ def one_model(prior: Belief, case: ReferenceCase | None) -> Belief:
             "name one, as nhkv."
         )
     return prior
-
-
-def _read_baseline(text: str) -> DesignPolicy:
-    """The policy of a name, or of a list of designs."""
-    if text in _BASELINES:
-        return _BASELINES[text]()
-    if ":" not in text:
-        raise InputDataError(
-            f"--policy is {text!r}; expected optimal, {', '.join(_BASELINES)}, or designs "
-            "We:R_inf*,..."
-        )
-    return Fixed(tuple(parse_pair(part, "--policy") for part in text.split(",")))

@@ -28,7 +28,6 @@ from imr_torch.observe import (
     load_collapse_times,
     load_traces,
 )
-from imr_torch.population import SCALE
 from imr_torch.progress import ProgressLine
 from imr_torch.reading.load import is_shot_file
 from imr_torch.results import document_report
@@ -36,8 +35,6 @@ from imr_torch.results import document_report
 
 def run_command(args: Namespace) -> None:
     """Load, infer, report."""
-    if not args.population:
-        refuse_options(args, ["scatter_scale"], "is about --population; add that, or leave it out.")
     traces, shots = _load_data(args)
     read = [traces.report()] if len(traces) else []
     if shots:
@@ -70,8 +67,6 @@ def run_command(args: Namespace) -> None:
         shots=shots,
         weigh_odd_shots=not args.count_all_shots,
         population=args.population,
-        scatter_scale=SCALE if args.scatter_scale is None else args.scatter_scale,
-        over_time=args.over_time,
         seed=args.seed,
         on_prepared=show_prepared,
         progress=args.terminal.plan_stages(stages),

@@ -206,7 +206,6 @@ _READ: dict[str, Callable[[str, str], Any]] = {
     "layout": lambda text, _: Layout.from_text(text),
     "driving": lambda path, _: load_driving(path),
     "rest_radius": parse_rest_radius,
-    "delivered": parse_pair,
     **dict.fromkeys(
         ("we_range", "rinf_range"), partial(parse_pair, form="LOW:HIGH, for example 0.15:0.25")
     ),

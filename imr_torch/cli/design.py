@@ -16,16 +16,15 @@ from imr_torch.design import (
     DesignSpace,
     ExpectedInformationGain,
     Laplace,
-    MeasureOptions,
     Plan,
+    choose_sequence,
+    design_document,
     load_designs,
-    optimal_measure,
     search_design,
 )
 from imr_torch.errors import InputDataError
 from imr_torch.files import Document
 from imr_torch.observe import Nuisance
-from imr_torch.results.plot import measure_document, search_document
 from imr_torch.simulate import coarser
 
 _MEASURED = Nuisance(
@@ -63,21 +62,10 @@ def run_command(args: Namespace) -> None:
         check_target(rule, prior)
     bubbles = coarser(simulator)
     plan = plan_of(args)
-    measure = None
+    surroundings = simulator.conditions.surroundings
     document: Document = {}
-    if args.criterion or rule:
-        measure = optimal_measure(
-            prior,
-            bubbles,
-            args.criterion or "D",
-            shots=args.shots,
-            plan=plan,
-            space=space,
-            options=MeasureOptions(scatter=args.delivered),
-            seed=args.seed,
-        )
-    if measure and rule:
-        chosen = measure.choose_sequence(args.shots)
+    if rule:
+        chosen = choose_sequence(prior, bubbles, args.shots, plan=plan, space=space, seed=args.seed)
         ways = {"one design repeated": (chosen[:1].expand_as(chosen), plan)}
         ways |= {what: (chosen, other) for what, other in camera_variants(plan).items()}
         rows = [
@@ -85,7 +73,13 @@ def run_command(args: Namespace) -> None:
             | forecast_shots(prior, designs, bubbles, other, rule, seed=args.seed).to_dict()
             for what, (designs, other) in ways.items()
         ]
-        document["forecast"] = {"until": args.until, "most": args.shots, "rows": rows}
+        sequence = [design_document(design, surroundings) for design in chosen]
+        document["forecast"] = {
+            "until": args.until,
+            "most": args.shots,
+            "rows": rows,
+            "designs": sequence,
+        }
     acquisition = ExpectedInformationGain(
         prior, bubbles, Laplace(args.draws), target=args.target, plan=plan, space=space
     )
@@ -98,16 +92,11 @@ def run_command(args: Namespace) -> None:
         batch=Optimal.batch,
         progress=args.terminal.plan_stages(DESIGN),
     )
-    surroundings = simulator.conditions.surroundings
     first, *further = (
-        search_document(step, surroundings)
+        step.to_dict(surroundings)
         | {"eig": step.recommendation.mean, "eig_sd": step.recommendation.sd}
         for step in (*search.earlier, search)
     )
     document |= {"joint_eig": search.joint, "further": further} if further else {}
-    if measure:
-        document["measure"] = measure_document(measure, search.chosen, surroundings) | {
-            "criterion": args.criterion or "D"
-        }
     document |= {"cautions": belief_cautions(args), "medium_unstated": exact_medium(args, prior)}
     report_result(args, first | document)

@@ -11,16 +11,21 @@ from imr_torch.design.gain import (
     separate_errors,
 )
 from imr_torch.design.laplace import Laplace
-from imr_torch.design.measure import DesignMeasure, MeasureOptions, apportion_shots, optimal_measure
 from imr_torch.design.next_design import NextDesign
 from imr_torch.design.optimizer import DesignOptimizer, Recommendation
 from imr_torch.design.response import Plan, Shot, radii
-from imr_torch.design.search import DesignSearch, finish_search, search_design
-from imr_torch.design.space import DESIGN_NAMES, DesignSpace, ListedDesigns, load_designs
+from imr_torch.design.search import DesignSearch, search_design
+from imr_torch.design.sequence import choose_sequence, inform_draws
+from imr_torch.design.space import (
+    DESIGN_NAMES,
+    DesignSpace,
+    ListedDesigns,
+    design_document,
+    load_designs,
+)
 
 __all__ = [
     "DESIGN_NAMES",
-    "DesignMeasure",
     "DesignOptimizer",
     "DesignSearch",
     "DesignSpace",
@@ -30,17 +35,16 @@ __all__ = [
     "InformationGain",
     "Laplace",
     "ListedDesigns",
-    "MeasureOptions",
     "NextDesign",
     "Plan",
     "Recommendation",
     "Shot",
     "Target",
-    "apportion_shots",
+    "choose_sequence",
+    "design_document",
     "expected_information_gain",
-    "finish_search",
+    "inform_draws",
     "load_designs",
-    "optimal_measure",
     "radii",
     "search_design",
     "separate_errors",

@@ -14,9 +14,9 @@ takes from the errors of many designs the part that all of them share.
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import torch
 from jaxtyping import Float, Int
@@ -39,7 +39,7 @@ class InformationGain:
         variance: Monte Carlo variance of the sum of the two.
         counted: draws that could be simulated.
         drawn: draws asked for.
-        influence: influence of each draw on ``(parameters, model)``, nats; empty if the estimator
+        influence: influence of each draw on ``(parameters, model)``, nats; None if the estimator
             does not say.
 
     >>> gain = InformationGain(2.0, 0.5, variance=0.01, counted=64, drawn=64)
@@ -52,7 +52,7 @@ class InformationGain:
     variance: float
     counted: int
     drawn: int
-    influence: tuple[tuple[float, float], ...] = field(default=(), repr=False)
+    influence: Float[Tensor, "draws 2"] | None = field(default=None, repr=False, compare=False)
 
     @property
     def failed(self) -> bool:
@@ -64,16 +64,6 @@ class InformationGain:
         """The whole gain; NaN when the evaluation failed."""
         return math.nan if self.failed else self.parameters + self.model
 
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> "InformationGain":
-        """Inverse of ``dataclasses.asdict``, after JSON.
-
-        Other entries, such as the design beside it in a journal, are ignored.
-        """
-        known = {own.name: values[own.name] for own in fields(cls)}
-        known["influence"] = tuple((a, b) for a, b in values["influence"])
-        return cls(**known)
-
     def of_target(self, target: Target) -> "InformationGain":
         """The gain about the parameters alone, about the model alone, or unchanged (``"both"``)."""
         if target == "both":
@@ -81,7 +71,7 @@ class InformationGain:
         kept = tensor([target == "parameters", target == "model"])
         parameters, model = (kept * tensor([self.parameters, self.model])).tolist()
         about = replace(self, parameters=parameters, model=model)
-        return with_influence(about, kept * tensor(self.influence).reshape(-1, 2))
+        return about if self.influence is None else with_influence(about, kept * self.influence)
 
 
 def mean_deviations(values: Float[Tensor, "draws *columns"]) -> Float[Tensor, "draws *columns"]:
@@ -128,11 +118,8 @@ def combine_models(
 def with_influence(gain: InformationGain, influence: Float[Tensor, "draws 2"]) -> InformationGain:
     """The gain with the influence of each draw (``n x 2``) and the variance that follows from it."""
     known = bool(torch.isfinite(influence).all())
-    return replace(
-        gain,
-        variance=float(influence.sum(1).square().sum()),
-        influence=tuple((a, b) for a, b in influence.tolist()) if known else (),
-    )
+    variance = float(influence.sum(1).square().sum())
+    return replace(gain, variance=variance, influence=influence if known else None)
 
 
 @dataclass(frozen=True)
@@ -162,15 +149,16 @@ def separate_errors(gains: Sequence[InformationGain]) -> ErrorParts:
     over ``j`` gives each gain a variance of its own. Gains whose draws cannot be matched keep their
     whole variance, and nothing is common.
 
-    >>> a = InformationGain(1.0, 0.0, 0.02, 2, 2, influence=((0.1, 0.0), (-0.1, 0.0)))
-    >>> b = InformationGain(3.0, 0.0, 0.02, 2, 2, influence=((0.1, 0.0), (-0.1, 0.0)))
+    >>> influence = torch.tensor([[0.1, 0.0], [-0.1, 0.0]], dtype=torch.float64)
+    >>> a = InformationGain(1.0, 0.0, 0.02, 2, 2, influence)
+    >>> b = InformationGain(3.0, 0.0, 0.02, 2, 2, influence)
     >>> separate_errors([a, b])  # the same error in both: their difference is exact
     ErrorParts(own=tensor([0., 0.], dtype=torch.float64), common=0.020000000000000004)
     """
-    sizes = {len(gain.influence) for gain in gains}
-    if len(gains) < 2 or len(sizes) != 1 or 0 in sizes:
+    known = [gain.influence.sum(1) for gain in gains if gain.influence is not None]
+    if len(gains) < 2 or len(known) < len(gains) or len(set(map(len, known))) > 1:
         return ErrorParts(tensor([gain.variance for gain in gains]), 0.0)
-    influence = tensor([gain.influence for gain in gains]).sum(-1)
+    influence = torch.stack(known)
     mean = influence.mean(0)
     own = (influence - mean).square().sum(1) * (len(gains) / (len(gains) - 1))
     return ErrorParts(own, float(mean.square().sum()))

@@ -15,7 +15,7 @@ the posterior in place of the identity.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float, Int
@@ -139,32 +139,22 @@ class Laplace(InformationEstimator):
             if len(part) == 0:
                 logs[i] = -math.inf
             elif bool(others.any()):
-                seen, start, short = _cut_to_window(data[others], part, shot)
+                seen = data[others]
                 at = refine_gels(
                     seen,
-                    start[best_starts(seen, start, short)],
-                    short,
+                    part[best_starts(seen, part, shot)],
+                    shot,
                     shot.belief.models[i],
                     self.refinements,
                     best[others] - self.behind,
                 )
-                logs[i, others] = infer_linear(seen, at, short.plan).log_evidence
+                logs[i, others] = infer_linear(seen, at, shot.plan).log_evidence
             logs[i, rows] = best[rows]
         return own, logs
 
     @property
     def _rival_count(self) -> int:
         return max(6, self.draws // 4) if self.rivals is None else self.rivals
-
-
-def _cut_to_window(data: Data, gels: Response, shot: Shot) -> tuple[Data, Response, Shot]:
-    """The same without the frames after the longest window, which count in no datum and need not be
-    simulated.
-    """
-    last = max(2, int(torch.nonzero(data.window.flatten(0, 1).any(0)).max()) + 1)
-    kept = gels.take_seen(lambda seen: seen[:, :, :last])
-    plan = replace(shot.plan, times=shot.plan.times[:last])
-    return Data(data.radius[..., :last], data.window[..., :last]), kept, replace(shot, plan=plan)
 
 
 def local_precision(part: ModelBelief, controls: DrawnControls) -> BatchControlMatrix:

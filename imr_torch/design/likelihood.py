@@ -20,6 +20,7 @@ from torch import Tensor
 from imr_torch.assimilate.gauss_newton import NormalEquations, half_log_det, normal_equations
 from imr_torch.design.response import Plan, Response, Rows, Shot, simulate_response
 from imr_torch.float64 import eye, randn
+from imr_torch.observe.noise import previous
 from imr_torch.types import BatchControlMatrix, BroadcastValues, DrawnControls, DrawnValues
 
 
@@ -38,9 +39,9 @@ class Data(Rows):
 
 def observe_gels(seen: Response, plan: Plan, source: torch.Generator) -> Data:
     """One datum of each gel, with nuisances and noise drawn."""
+    times = plan.times.expand(seen.radius.shape[1:])
     noise = randn(seen.radius.shape, generator=source)
-    if plan.decorrelation is not None:
-        noise = torch.linalg.solve_triangular(plan.decorrelation, noise.mT, upper=False).mT
+    noise = plan.noise.correlated(noise, times, torch.isfinite(times))
     nuisance = randn(*seen.by_nuisance.shape[:2], seen.by_nuisance.shape[-1], 1, generator=source)
     noise = noise * plan.noise.sd(seen.radius, plan.times) / plan.repeats**0.5
     return Data(
@@ -67,6 +68,10 @@ class Gels:
         """Which of all gels, model after model, are of each model."""
         ends = accumulate(map(len, self.parts), initial=0)
         return [slice(first, end) for first, end in pairwise(ends)]
+
+    def at_designs(self, place: Int[Tensor, "shots"]) -> "Gels":
+        """The same gels at designs of some places, as in a sequence of shots."""
+        return Gels(tuple(part.at_designs(place) for part in self.parts), self.orders)
 
     def observe(self, shot: Shot, source: torch.Generator) -> Data:
         """A datum of each gel, model after model."""
@@ -128,13 +133,14 @@ def linearise_data(
     torch.Size([5])
     """
     sd = plan.noise.sd(radius, plan.times)
+    times = plan.times[None]
+    own, before = plan.noise.innovations(times, torch.isfinite(times))
 
     def whiten_columns(columns: Tensor) -> Tensor:
         """In units of independent noise of the mean curve, 0 outside the window."""
-        scaled = columns / sd[..., None] * plan.repeats**0.5
-        if plan.decorrelation is not None:
-            scaled = plan.decorrelation @ scaled
-        return torch.where(data.window[..., None], scaled, 0.0)
+        scaled = columns.mT / sd[..., None, :] * plan.repeats**0.5
+        scaled = own * scaled - before * previous(scaled)
+        return torch.where(data.window[..., None, :], scaled, 0.0).mT
 
     residual = whiten_columns((data.radius - radius)[..., None])
     slopes = whiten_columns(by_gel), whiten_columns(by_nuisance)

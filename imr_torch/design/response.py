@@ -8,13 +8,12 @@ Controls ``v`` are those in which the belief is a standard normal, so a sensitiv
 deviation of what is believed now, whatever the units of the parameters.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Self
 
 import torch
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
 from imr_torch.assimilate import ForwardModel, Point
@@ -52,19 +51,6 @@ class Plan:
     def __post_init__(self) -> None:
         check_at_least(self, 1, "repeats")
         check_at_least(self, 1, "collapses", note=", or None for all frames")
-
-    @cached_property
-    def decorrelation(self) -> Float[Tensor, "frames frames"] | None:
-        """``n_t x n_t`` inverse Cholesky factor of the frames' correlation; None for independent
-        frames.
-
-        It is lower triangular: what it makes of the first frames does not depend on later ones, so
-        a window can be cut after it.
-        """
-        factor = self.noise.decorrelation(
-            self.times[None], torch.ones(1, len(self.times), dtype=torch.bool)
-        )
-        return None if factor is None else factor[0]
 
     def cut_to_window(self, experiment: Experiment) -> Experiment:
         """An experiment without the frames after the last collapse of the window."""
@@ -156,9 +142,10 @@ class Response(Rows):
     by_gel: Float[Tensor, "draws designs frames slopes"]
     by_nuisance: Float[Tensor, "draws designs frames nuisances"]
 
-    def take_seen(self, part: Callable[[Tensor], Tensor]) -> "Response":
-        """The same gels, seen in part: some designs, or some frames."""
-        return Response(self.controls, *map(part, (self.radius, self.by_gel, self.by_nuisance)))
+    def at_designs(self, place: Int[Tensor, "shots"]) -> "Response":
+        """The same gels at designs of some places."""
+        seen = (self.radius, self.by_gel, self.by_nuisance)
+        return Response(self.controls, *(values[:, place] for values in seen))
 
     @property
     def good(self) -> Bool[Tensor, "draws"]:

@@ -18,11 +18,14 @@ import torch
 from imr_torch.design.acquisition import ExpectedInformationGain
 from imr_torch.design.gain import InformationGain, separate_errors
 from imr_torch.design.optimizer import DesignOptimizer, Recommendation
+from imr_torch.design.space import design_document
 from imr_torch.errors import ConvergenceError, InputDataError
-from imr_torch.float64 import tensor, zeros
+from imr_torch.files import Document, drawn_numbers, without_nonfinite
+from imr_torch.float64 import linspace, tensor, zeros
 from imr_torch.random import child
 from imr_torch.threads import one_torch_thread
 from imr_torch.types import Designs, Progress, ProgressLine
+from imr_torch.units import Surroundings
 
 
 @dataclass(frozen=True)
@@ -35,7 +38,6 @@ class DesignSearch:
         designs: all evaluated designs.
         gains: their information gains, in the same order, each joint with the pending designs.
         optimizer: the optimizer, whose surrogate can be drawn.
-        pending: joint gain of the designs that were pending; None if there were none.
         earlier: the searches for the designs before, of a search for several.
 
     >>> from imr_torch.design import Laplace
@@ -51,7 +53,6 @@ class DesignSearch:
     designs: Designs
     gains: tuple[InformationGain, ...]
     optimizer: DesignOptimizer
-    pending: InformationGain | None = None
     earlier: tuple["DesignSearch", ...] = ()
 
     @property
@@ -70,6 +71,36 @@ class DesignSearch:
         first.
         """
         return sum(self.increments)
+
+    def to_dict(self, surroundings: Surroundings, *, points: int = 60) -> Document:
+        """JSON-ready: the chosen design, the evaluated ones with their gains, and the map of the
+        surrogate's expected information gain (We, R_inf*, and rows of nats over We).
+
+        Args:
+            surroundings: the liquid side, which fixes Rmax of a Weber number.
+            points: of the map, along each axis.
+        """
+        rows = []
+        for (we, r), gain in zip(self.designs.tolist(), self.gains, strict=True):
+            row = {"We": we, "R_inf*": r, "counted": gain.counted, "drawn": gain.drawn}
+            if not gain.failed:
+                row |= {"eig": gain.value, "sd": gain.variance**0.5}
+                row |= {"parameters": gain.parameters, "model": gain.model}
+            rows.append(row)
+        bounds = self.optimizer.space.bounds.mT.tolist()
+        weber, rest = (linspace(low, high, points) for low, high in bounds)
+        model = self.optimizer.model()
+        with torch.no_grad():
+            nats = model.posterior(torch.cartesian_prod(weber, rest)).mean
+        return {
+            "design": design_document(self.recommendation.design, surroundings),
+            "evaluations": without_nonfinite(rows)[0],
+            "map": {
+                "We": weber.tolist(),
+                "R_inf*": rest.tolist(),
+                "nats": [drawn_numbers(row) for row in nats.reshape(points, points).mT],
+            },
+        }
 
 
 @one_torch_thread()
@@ -132,35 +163,6 @@ def search_design(
         beside.set_X_pending(torch.cat(waiting) if waiting else None)
         steps.append(_search_one(beside, make_optimizer, seed, evaluations, batch, progress))
     return replace(steps[-1], earlier=tuple(steps[:-1]))
-
-
-def finish_search(
-    optimizer: DesignOptimizer,
-    designs: Designs,
-    gains: Sequence[InformationGain],
-    pending: InformationGain | None,
-) -> DesignSearch:
-    """The recommendation from all evaluations; its error has the part that is common to them.
-
-    Args:
-        optimizer: of the search, before it was told anything.
-        designs: all evaluated designs.
-        gains: their information gains, joint with the pending designs.
-        pending: joint gain of the pending designs; None if there are none.
-
-    >>> designs = torch.tensor([[200.0, 0.2], [500.0, 0.2], [800.0, 0.2]], dtype=torch.float64)
-    >>> gains = [InformationGain(value, 0.0, variance=0.01, counted=8, drawn=8) for value in (4.0, 6.0, 4.0)]
-    >>> from imr_torch.design import DesignSpace
-    >>> best = finish_search(DesignOptimizer(DesignSpace(), seed=0, initial=2), designs, gains, None).recommendation
-    >>> 300.0 < float(best.design[0]) < 700.0
-    True
-    """
-    common = _tell_gains(optimizer, designs, gains, pending)
-    best = optimizer.recommend()
-    cost = float(optimizer.space.cost(best.design[None]))
-    sd = math.sqrt((cost * best.sd) ** 2 + common)
-    best = replace(best, mean=cost * best.mean, sd=sd)
-    return DesignSearch(best, designs, tuple(gains), optimizer, pending)
 
 
 def _tell_gains(
@@ -235,4 +237,10 @@ def _search_one(
                     f"EIG {gain.value:.3f} +- {gain.variance**0.5:.3f} nats"
                 )
                 progress(ProgressLine(text, step="design", done=len(gains), of=evaluations))
-    return finish_search(make_optimizer(), designs, gains, pending)
+    optimizer = make_optimizer()
+    common = _tell_gains(optimizer, designs, gains, pending)
+    best = optimizer.recommend()
+    cost = float(optimizer.space.cost(best.design[None]))
+    sd = math.sqrt((cost * best.sd) ** 2 + common)  # with the part that is common to all gains
+    best = replace(best, mean=cost * best.mean, sd=sd)
+    return DesignSearch(best, designs, tuple(gains), optimizer)

@@ -173,3 +173,15 @@ def load_designs(path: str | Path) -> ListedDesigns:
         raise InputDataError(f"{path}: holds one design; list 2 or more to choose from.")
     weber, rest = ((0.99 * min(column), 1.001 * max(column)) for column in columns[:2])
     return ListedDesigns(weber, rest, rows)
+
+
+def design_document(design: Design, surroundings: Surroundings) -> dict[str, float]:
+    """A design (We, R_inf*), JSON-ready: dimensionless, and as sizes in m.
+
+    >>> from imr_torch.units import Surroundings
+    >>> round(design_document(tensor([400.0, 0.25]), Surroundings())["Rmax_m"], 6)
+    0.000442
+    """
+    weber, rest = design.tolist()
+    size = float(surroundings.max_radius(weber))
+    return {"We": weber, "R_inf*": rest, "Rmax_m": size, "R_inf_m": rest * size}

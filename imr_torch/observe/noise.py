@@ -108,29 +108,15 @@ class Noise:
             variance = variance + (self.kink * bends).square()
         return self.scale * variance.sqrt()
 
-    def decorrelation(
+    def innovations(
         self, times: ExperimentFrames, mask: FrameMask
-    ) -> Float[Tensor, "experiments frames frames"] | None:
-        """Inverse Cholesky factors of the correlation matrices: ``E x T x T``, or None for
-        independent frames.
+    ) -> tuple[ExperimentFrames, ExperimentFrames]:
+        """What makes the noise independent: the inverse Cholesky factors of the correlation matrices
+        by their two diagonals, since an exponential correlation is Markov.
 
         Args:
             times: dimensionless, increasing.
             mask: frames that count, in each row the first ones; the others are left independent.
-        """
-        if self.correlation_time == 0.0:
-            return None
-        own, before = self.innovations(times, mask)
-        return torch.diag_embed(own) - torch.diag_embed(before[:, 1:], -1)
-
-    def innovations(
-        self, times: ExperimentFrames, mask: FrameMask
-    ) -> tuple[ExperimentFrames, ExperimentFrames]:
-        """The same factors by their two diagonals: an exponential correlation is Markov.
-
-        Args:
-            times: dimensionless, increasing.
-            mask: frames that count; in each row the first ones.
 
         Returns:
             Two ``E x T`` tensors: factors of each frame and of the one before it, which is
@@ -146,9 +132,10 @@ class Noise:
 
     def correlated(self, noise: Frames, times: ExperimentFrames, mask: FrameMask) -> Frames:
         """Independent standard normals ``... x E x T``, correlated as the noise is."""
-        decorrelate = self.decorrelation(times, mask)
-        if decorrelate is None:
+        if self.correlation_time == 0.0:
             return noise
+        own, before = self.innovations(times, mask)
+        decorrelate = torch.diag_embed(own) - torch.diag_embed(before[:, 1:], -1)
         return torch.linalg.solve_triangular(decorrelate, noise[..., None], upper=False)[..., 0]
 
     def draw(

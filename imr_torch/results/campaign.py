@@ -9,12 +9,12 @@ import torch
 
 from imr_torch.campaign import Campaign, Proposal
 from imr_torch.characterization.bands import band_document, predictive_band
+from imr_torch.design import design_document
 from imr_torch.files import Document, drawn_numbers
 from imr_torch.float64 import linspace
 from imr_torch.goodness import check_fit
 from imr_torch.material import Belief
 from imr_torch.material.model_belief import intervals
-from imr_torch.results.plot import design_document, search_document
 
 
 def campaign_document(
@@ -52,7 +52,7 @@ def campaign_document(
         "designs": [list(e.design) for e in campaign.experiments],
         "experiments": campaign.numbers,
         "labels": [e.label for e in campaign.experiments],
-        "forgotten": len(campaign.forgotten),
+        "forgotten": campaign.told - len(campaign.numbers),
         "relative_error": {},
         "model_probabilities": belief.probabilities,
         "intervals": {part.model: intervals(part) for part in belief.models},
@@ -79,9 +79,9 @@ def campaign_document(
         ],
         **_describe_fit(campaign),
         "searches": [
-            {"step": number} | search_document(search, outer)
+            {"step": number} | search
             for number in range(1, campaign.told + 2)
-            if (search := campaign.search(number)) is not None
+            if (search := campaign.search(number))
         ],
         "curves": _document_curves(campaign),
     }

@@ -25,7 +25,6 @@ from imr_torch.results.charts import (
     residuals_figure,
 )
 from imr_torch.results.intervals import (
-    over_time_figure,
     parameters_of,
     parts_figure,
     plot_ratios,
@@ -35,7 +34,6 @@ from imr_torch.results.intervals import (
 from imr_torch.results.plot import (
     draw_information,
     draw_parameters,
-    draw_sensitivity,
     plot_parameter,
     plot_probabilities,
 )
@@ -105,9 +103,6 @@ def _characterization_figures(document: Document) -> Iterator[NamedFigure]:
         yield name_figure("characterize.parts", parts_figure, document["parts"])
     chances = document["model_probabilities"]
     best = max(chances, key=chances.__getitem__)
-    if stretches := document.get("over_time"):
-        whole = document["models"][best]["intervals"]
-        yield name_figure("characterize.over_time", over_time_figure, stretches, whole)
     if document.get("collapse_times"):
         yield name_figure("characterize.collapse_times", collapse_figure, document)
     prior, belief = (Belief.from_dict(document[name]) for name in ("prior", "belief"))
@@ -154,11 +149,6 @@ def _design_figures(document: Document) -> Iterator[NamedFigure]:
         yield name_figure(
             "design.information", draw_information, step, number=behind, design=step["design"]
         )
-    if measure := document.get("measure"):
-        circles = len(measure["support"])
-        yield name_figure(
-            "design.sensitivity", draw_sensitivity, measure, measure=measure, circles=circles
-        )
 
 
 def _shots_figures(document: Document) -> Iterator[NamedFigure]:
@@ -172,7 +162,7 @@ def _compared_figures(document: Document) -> Iterator[NamedFigure]:
         yield name_figure("compare.ratios", plot_ratios, document, a=a, b=b)
 
 
-_WITHOUT_FIT = ("record", "information", "sensitivity")
+_WITHOUT_FIT = ("record", "information")
 """What names of figures begin with that show no fitted model."""
 
 _FIGURES: dict[str, Callable[[Document], Iterable[NamedFigure]]] = {

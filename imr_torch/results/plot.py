@@ -15,7 +15,6 @@ from scipy.stats import gaussian_kde
 from torch import Tensor
 
 from imr_torch.calibration import envelope
-from imr_torch.design import DesignMeasure, DesignSearch
 from imr_torch.drawing import (
     CYCLE,
     DATA,
@@ -32,8 +31,6 @@ from imr_torch.files import Document
 from imr_torch.float64 import arange, linspace, tensor
 from imr_torch.labels import REST_RADIUS, WEBER, plain
 from imr_torch.material import PARAMETERS, Belief, ModelBelief
-from imr_torch.types import Design, Designs
-from imr_torch.units import Surroundings
 
 _LEVELS = linspace(0.002, 0.998, 400)  # of a density
 
@@ -159,102 +156,12 @@ def plot_probabilities(beliefs: Sequence[tuple[str, Belief]]) -> Axes:
     return ax
 
 
-def search_document(search: DesignSearch, surroundings: Surroundings) -> Document:
-    """A search for a design, JSON-ready: the chosen design, the evaluated ones with their gains, and
-    the map of the surrogate's expected information gain (We, R_inf*, and rows of nats over We).
-
-    Args:
-        search: a finished search.
-        surroundings: the liquid side, which fixes Rmax of a Weber number.
-    """
-    rows = []
-    for (we, r), gain in zip(search.designs.tolist(), search.gains, strict=True):
-        row = {"We": we, "R_inf*": r, "counted": gain.counted, "drawn": gain.drawn}
-        if gain.value == gain.value:
-            row |= {"eig": gain.value, "sd": gain.variance**0.5}
-            row |= {"parameters": gain.parameters, "model": gain.model}
-        rows.append(row)
-    bounds = search.optimizer.space.bounds.mT.tolist()
-    weber, rest = (linspace(low, high, 60) for low, high in bounds)
-    model = search.optimizer.model()
-    with torch.no_grad():
-        nats = model.posterior(torch.cartesian_prod(weber, rest)).mean
-    return {
-        "design": design_document(search.recommendation.design, surroundings),
-        "evaluations": rows,
-        "map": {
-            "We": weber.tolist(),
-            "R_inf*": rest.tolist(),
-            "nats": nats.reshape(60, 60).mT.tolist(),
-        },
-    }
-
-
-def measure_document(
-    measure: DesignMeasure, chosen: Designs, surroundings: Surroundings
-) -> Document:
-    """An optimal measure, JSON-ready: its support with shares, whole shots, bound, efficiencies, and
-    the sensitivity at the designs that it was optimised over.
-
-    Args:
-        measure: of shots.
-        chosen: designs (``q x 2``) whose efficiency is said.
-        surroundings: the liquid side, which fixes Rmax of a Weber number.
-    """
-    whole = measure.allocate_shots()
-    different, counts = whole.unique(dim=0, return_counts=True)
-
-    def list_designs(designs: Tensor, name: str, numbers: Tensor) -> list[Document]:
-        return [
-            design_document(design, surroundings) | {name: number}
-            for design, number in zip(designs, numbers.tolist(), strict=True)
-        ]
-
-    rows = measure.support
-    return {
-        "support": list_designs(measure.designs[rows], "share", measure.shares[rows]),
-        "whole": list_designs(different, "shots", counts),
-        "whole_efficiency": measure.efficiency(whole),
-        "chosen_efficiency": measure.efficiency(chosen),
-        "bound": measure.bound,
-        "shots": measure.shots,
-        "map": list_designs(measure.designs, "sensitivity", measure.sensitivity),
-    }
-
-
-def draw_sensitivity(found: Document) -> Axes:
-    """Map of the sensitivity of a measure over designs, with its support: area is share.
-
-    Args:
-        found: from :func:`measure_document`.
-    """
-    ax = new_axes((5.6, 4.2))
-    we, r, height = (
-        [row[name] for row in found["map"]] for name in ("We", "R_inf*", "sensitivity")
-    )
-    filled = ax.tricontourf(we, r, height, levels=15, cmap="viridis")
-    ax.figure.colorbar(filled, ax=ax, label="sensitivity, 1 where shots are")
-    for row in found["support"]:
-        size = 30.0 * row["share"] ** 0.5
-        ax.plot(row["We"], row["R_inf*"], "o", ms=size, color=TRUTH, mec="white", clip_on=False)
-    set_scale(ax, "x", min(we), max(we), ratio=1.0)
-    ax.set(xlabel=WEBER, ylabel=REST_RADIUS)
-    return ax
-
-
-def design_document(design: Design, surroundings: Surroundings) -> dict[str, float]:
-    """A design (We, R_inf*), JSON-ready: dimensionless, and as sizes in m."""
-    weber, rest = design.tolist()
-    size = float(surroundings.max_radius(weber))
-    return {"We": weber, "R_inf*": rest, "Rmax_m": size, "R_inf_m": rest * size}
-
-
 def draw_information(found: Document) -> Axes:
     """Map of the expected information gain over designs, with the evaluated designs and the chosen
     one.
 
     Args:
-        found: from :func:`search_document`.
+        found: from :meth:`imr_torch.design.DesignSearch.to_dict`.
     """
     values = found["map"]
     chosen = found["design"]

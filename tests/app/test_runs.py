@@ -250,11 +250,11 @@ def test_that_a_preset_can_be_run(command, preset):
 @pytest.mark.parametrize(
     ("command", "values"),
     [
-        ("characterize", {"models": ["nhkv", "gent+cross"], "growth": 0.6, "over_time": True}),
+        ("characterize", {"models": ["nhkv", "gent+cross"], "growth": 0.6, "population": True}),
         ("diagnose", {"without": ["wall"], "most": 2, "experiments": ["x", "y"]}),
         ("batch", {"each": True, "noise": "published"}),
         ("compare", {"model": "nhkv"}),
-        ("design", {"criterion": "D", "shots": 6, "models": ["nhkv"]}),
+        ("design", {"until": "G:5%", "shots": 6, "models": ["nhkv"]}),
         ("campaign", {"tell": ["files/a.csv", "files/b.csv"], "stop": "G:5%,mu:5%"}),
     ],
 )

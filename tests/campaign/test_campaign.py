@@ -57,7 +57,7 @@ def test_the_journal_holds_what_was_asked_measured_and_concluded(finished):
     kinds = [event["event"] for event in Journal(finished.journal.folder).events]
     assert kinds == ["start", "ask", "observed", "learnt", "ask", "observed", "learnt"]
     asked = finished.journal.find_event("ask", 1)
-    assert len(asked["evaluations"]) == SETTINGS.policy.evaluations
+    assert len(asked["search"]["evaluations"]) == SETTINGS.policy.evaluations
     assert asked["design"] == pytest.approx(list(finished.experiments[0].design))
     assert {"nhkv", "gen_qkv"} == set(finished.journal.find_event("learnt", 2)["certificates"])
 

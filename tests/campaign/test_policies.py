@@ -9,7 +9,6 @@ from imr_torch.campaign import (
     CampaignSettings,
     Designs,
     ExactLearner,
-    Fixed,
     GainBelow,
     Journal,
     Optimal,
@@ -30,7 +29,6 @@ from tests.linear import NOISE, LinearSimulator, prior
 
 SPACE = DesignSpace(weber=(200.0, 900.0), rest_radius=(0.15, 0.25))
 PLAN = Plan(linspace(0.1, 2.0, 9), repeats=4, noise=NOISE, collapses=None)
-LISTED = Fixed(((300.0, 0.2), (500.0, 0.16), (700.0, 0.24)))
 QUICK = Optimal(Laplace(draws=3, rivals=3), evaluations=4, initial=3)
 LEARNERS = {
     "exact": ExactLearner(32, SearchOptions(raw_samples=24)),
@@ -40,7 +38,6 @@ POLICIES_HERE = {
     "optimal": QUICK,
     "random": Random(),
     "space-filling": SpaceFilling(),
-    "fixed": LISTED,
 }
 LABORATORY = SimulatedLaboratory(
     LinearSimulator(),
@@ -109,16 +106,6 @@ def test_that_where_a_list_alone_can_be_shot_designs_are_of_it():
         assert {*found} <= weber
     assert {200.0, 900.0} <= {*found[:3]}
     assert {*found[:5]} == weber
-
-
-def test_a_list_is_shot_in_order_and_its_end_is_an_error():
-    assert choose(LISTED, 2).tolist() == [500.0, 0.16]
-    with pytest.raises(InputDataError, match="holds 3 designs and number 4 was asked for"):
-        choose(LISTED, 4)
-    with pytest.raises(InputDataError, match=r"\(2000, 0.2\) is outside"):
-        choose(Fixed(((2000.0, 0.2),)), 1)
-    with pytest.raises(InputDataError, match=r"Fixed.designs is empty"):
-        Fixed(())
 
 
 def test_a_search_asks_in_batches_for_as_many_designs_in_all():
@@ -218,31 +205,16 @@ def test_that_several_designs_are_asked_for_at_once_each_beside_those_before_it(
     proposals = run.ask_several(3)
     assert [p.step for p in proposals] == [1, 2, 3]
     assert len({tuple(p.design.tolist()) for p in proposals}) == 3
-    assert proposals[0].search.pending is None
-    assert proposals[2].search.pending.value == pytest.approx(
-        proposals[0].gain + proposals[1].gain, abs=0.3
-    )
     assert [p.design.tolist() for p in campaign(tmp_path, policy=QUICK).ask_several(2)] == [
         p.design.tolist() for p in proposals[:2]
     ]
     alone = campaign(tmp_path / "alone", policy=QUICK).ask()
     assert torch.equal(alone.design, proposals[0].design)
-    rebuilt = campaign(tmp_path, policy=QUICK).search(2)
-    assert torch.equal(rebuilt.optimizer.train_Yvar, proposals[1].search.optimizer.train_Yvar)
-    assert torch.equal(rebuilt.optimizer.train_Y, proposals[1].search.optimizer.train_Y)
+    surroundings = run.simulator.conditions.surroundings
+    kept = campaign(tmp_path, policy=QUICK).search(2)
+    assert kept == proposals[1].search.to_dict(surroundings)
     with pytest.raises(InputDataError, match="q is 0; expected at least 1"):
         run.ask_several(0)
-
-
-def test_that_a_search_is_rebuilt_from_the_journal_of_an_old_version(tmp_path):
-    proposal = campaign(tmp_path, policy=QUICK).ask()
-    start, asked = Journal(tmp_path).events
-    asked["search"] |= {"common": True, "strategy": None, "cost": None}
-    for row in asked["evaluations"]:
-        row["bias"] = None
-    rewritten(tmp_path, [start, asked])
-    search = campaign(tmp_path, policy=QUICK).search(1)
-    assert torch.equal(search.recommendation.design, proposal.design)
 
 
 @pytest.mark.parametrize("policy", [QUICK, SpaceFilling()], ids=["optimal", "space-filling"])

@@ -7,7 +7,6 @@ import pytest
 from imr_torch.campaign import (
     AllOf,
     AnyOf,
-    Budget,
     CampaignState,
     Designs,
     GainBelow,
@@ -72,12 +71,6 @@ def standing(
             "gain of the next design is below 0.5 nats",
         ),
         (
-            Budget(80.0, 5.0, 1.0),
-            standing(repeats=(10, 20)),
-            standing(repeats=(10, 21, 1, 30)),
-            "82 of the budget of 80",
-        ),
-        (
             AllOf((Designs(2), RelativeSd(0.02))),
             standing(),
             standing(sd=0.01),
@@ -102,8 +95,8 @@ def test_rules_are_read_from_text():
     assert stopping_rule("G:5%, mu:.1,model:.99") == AllOf(
         (RelativeSd(0.05, "G"), RelativeSd(0.1, "mu"), ModelProbability(0.99))
     )
-    assert stopping_rule("sd=0.01, probability=0.99", "gain=.2", "budget=10:2:.5") == AnyOf(
-        (AllOf((RelativeSd(0.01), ModelProbability(0.99))), GainBelow(0.2), Budget(10.0, 2.0, 0.5))
+    assert stopping_rule("sd=0.01, probability=0.99", "gain=.2") == AnyOf(
+        (AllOf((RelativeSd(0.01), ModelProbability(0.99))), GainBelow(0.2))
     )
 
 
@@ -118,7 +111,7 @@ def test_rules_are_read_from_text():
             "'patience=3' is not a stopping rule; expected NAME=NUMBER with NAME of designs, sd, probability",
         ),
         ("probability=1", "ModelProbability.above is 1.0; expected a probability between 0 and 1"),
-        ("budget=5:0:0", "a cost of something"),
+        ("designs=1:2", "is not a stopping rule; expected NAME=NUMBER"),
     ],
 )
 def test_a_bad_rule_is_refused_by_name(text, message):

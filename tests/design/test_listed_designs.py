@@ -1,4 +1,4 @@
-"""Searches and measures over designs that alone can be set, with what their shots cost, and files of these."""
+"""Searches over designs that alone can be set, with what their shots cost, and files of these."""
 
 import pytest
 import torch
@@ -7,14 +7,11 @@ from imr_torch.design import (
     ExpectedInformationGain,
     Laplace,
     ListedDesigns,
-    MeasureOptions,
     load_designs,
-    optimal_measure,
     search_design,
 )
 from imr_torch.errors import InputDataError
 from tests.design.linear_camera import ONE, LinearCamera, plan
-from tests.design.test_measure import PLAN, WIDE, Line
 
 GRID = [(w, r) for w in (150.0, 300.0, 500.0, 700.0, 900.0) for r in (0.16, 0.2, 0.24, 0.28)]
 
@@ -59,18 +56,6 @@ def test_that_the_gain_is_over_the_cost_of_a_shot():
     doubled = search(list_designs([2.0] * len(GRID)), evaluations=20)[1]
     assert torch.equal(doubled.chosen, cheap.chosen)
     assert doubled.joint == pytest.approx(cheap.joint, abs=0.02)  # nats of the shot, not per cost
-
-
-def test_that_half_the_budget_is_spent_at_each_end_of_a_line():
-    """D-optimal shares of the budget do not depend on costs where there are as many designs as
-    parameters; the number of shots does.
-    """
-    space = ListedDesigns(rows=((100.0, 0.2, 1.0), (300.0, 0.2, 3.0), (1000.0, 0.2, 3.0)))
-    options = MeasureOptions(draws=3, grid=(21, 2), scatter=(0.0, 0.0), resolved=0.01)
-    found = optimal_measure(WIDE, Line(), shots=6, plan=PLAN, space=space, options=options)
-    assert found.bound < 0.002
-    assert found.shares.tolist() == pytest.approx([0.5, 0.0, 0.5], abs=0.01)
-    assert sorted(found.allocate_shots()[:, 0].tolist()) == [100.0, 100.0, 100.0, 1000.0]
 
 
 @pytest.mark.parametrize(

@@ -73,17 +73,6 @@ def test_that_the_page_states_median_scatter_and_evidence():
     assert "above 30 nats" in first
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--scatter-scale", "0.3"], "--scatter-scale is about --population"),
-    ],
-)
-def test_that_options_that_do_not_go_together_are_refused(options, message, capsys):
-    assert main(["characterize", "gel.csv", *options]) != 0
-    assert message in capsys.readouterr().err
-
-
 def _written(folder, count: int) -> str:
     lines = ["experiment_id,time_s,radius_m"]
     for trace in traces(tuple("abc"[:count])):
@@ -130,5 +119,3 @@ def test_that_a_population_of_one_curve_is_refused(monkeypatch):
         characterize(
             traces(("a", "b")), prior=wide_prior(["gen_qkv"]), simulator=SIMULATOR, population=True
         )
-    with pytest.raises(InputDataError, match="scatter_scale is 0"):
-        characterize(traces(("a", "b")), simulator=SIMULATOR, population=True, scatter_scale=0.0)
