@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import partial
 from typing import Protocol, TypeAlias
 
 import numpy as np
@@ -205,8 +206,44 @@ def solve_bundles(
             "parameters."
         )
     width = shape[-1]
-    size = max(1, size // width) * width
-    return solve_batch(lambda *block: solve(*block, width), size, arguments)
+    return solve_batch(
+        partial(_solve_twins_once, solve, width), max(1, size // width) * width, arguments
+    )
+
+
+def _solve_twins_once(
+    solve: Callable[..., tuple[Tensor, ...]], width: int, *block: Tensor
+) -> tuple[Tensor, ...]:
+    """Bundles in which one member may be the bubble of another, seen at other times, as where time
+    zero is moved: that bubble is made once, for all of these times.
+    """
+    parameters, designs, times = (x.unflatten(0, (-1, width)) for x in block)
+    twins = (
+        (first, second)
+        for second in range(1, width)
+        for first in range(second)
+        if all(torch.equal(x[:, first], x[:, second]) for x in (parameters, designs))
+    )
+    first, second = next(twins, (0, 0))
+    later = times + (times[:, second] - times[:, first])[:, None]
+    later[:, first] = times[:, second]
+    both, order = torch.cat((times, later), -1).sort(-1)
+    if bool((both[..., 1:] <= both[..., :-1]).any()):  # no twins, or of the same times
+        return solve(*block, width)
+    kept = [member for member in range(width) if member != second]
+    places = order[:, kept].argsort(-1)
+    made = solve(*(x[:, kept].flatten(0, 1) for x in (parameters, designs, both)), width - 1)
+
+    def with_twin(values: Tensor) -> Tensor:
+        own = values.unflatten(0, (-1, width - 1))
+        twin = own
+        if own.ndim == 3:  # curves
+            own, twin = own.gather(-1, places).chunk(2, -1)
+        rows = (own[:, :second], twin[:, first, None], own[:, second:])
+        return torch.cat(rows, 1).flatten(0, 1)
+
+    radius, velocity, pressure, *status = map(with_twin, made)
+    return radius, velocity, pressure, *status
 
 
 def broadcast_batch(

@@ -227,7 +227,7 @@ def test_that_a_follower_is_the_same_in_a_bundle_of_any_size_bit_for_bit(kind):
         part = simulator.bundle(bundles[:, members], DESIGNS[0], TIMES)
         for name in ("radius", "velocity", "bubble_pressure"):
             assert torch.equal(getattr(part, name), getattr(whole, name)[:, members])
-    later = TIMES + 1e-3 * tensor(0.0, 0.0, 1.0)[:, None]  # the bubble of the first at other times
+    later = TIMES + 1e-3 * tensor(0.0, 0.0, 1.0)[:, None]  # the bubble of the first, made once
     twins = simulator.bundle(bundles[:, [0, 1, 0]], DESIGNS[0], later)
     alone = simulator.bundle(bundles[:, :2], DESIGNS[0], later[2])
     assert torch.equal(twins.radius[:, :2], whole.radius[:, :2])

@@ -23,6 +23,7 @@ from imr_torch.simulate import (
     TransportSimulator,
     explain_growth,
     sensitivities,
+    solve_bundles,
 )
 from imr_torch.simulate.engines import ENGINES
 from tests.simulate.bubble import gel, grid, tensor
@@ -285,6 +286,24 @@ def test_that_a_failed_member_does_not_spoil_the_gradient_of_the_others():
     assert solution.ok.tolist() == [True, False]
     (gradient,) = torch.autograd.grad(solution.radius[solution.ok].sum(), gel)
     assert bool(torch.isfinite(gradient).all())
+
+
+def test_that_a_bubble_of_a_bundle_that_is_seen_at_two_times_is_made_once():
+    made = []
+
+    def echo(_, designs, times, width):
+        made.append(width)
+        none = torch.zeros(len(times), dtype=torch.long)
+        return 1.0 + times, designs[:, :1] * times, times, none, none
+
+    parameters = PARAMETERS.neutral(2, 4)
+    parameters[:, 1] += 1.0
+    for later, widths in ((0.1, [3]), (0.0, [4])):
+        times = linspace(0.0, 1.0, 6) + later * tensor(0.0, 0.3, 1.0, 0.0)[:, None]
+        seen = solve_bundles(echo, 100, (parameters, tensor(400.0, 0.2), times))
+        assert torch.equal(seen.radius, 1.0 + times.expand(2, 4, 6))
+        assert made == widths
+        made.clear()
 
 
 def test_that_an_unknown_name_and_a_bundle_without_members_are_refused():
