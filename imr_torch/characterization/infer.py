@@ -23,7 +23,7 @@ from imr_torch.assimilate.spikes import frames_left_out
 from imr_torch.characterization.request import EFFORTS, check_request, medium_of
 from imr_torch.characterization.result import Characterization
 from imr_torch.gap import medium_sensitivities
-from imr_torch.goodness import check_fit, compare_parts
+from imr_torch.goodness import check_fit, compare_parts, follow_gel
 from imr_torch.material import Belief, wide_prior
 from imr_torch.observe import (
     CollapseShot,
@@ -64,6 +64,7 @@ def characterize(
     shots: Sequence[CollapseShot] = (),
     weigh_odd_shots: bool = True,
     population: bool = False,
+    over_time: bool = False,
     seed: int = 0,
     on_prepared: Callable[[Prepared], object] | None = None,
     progress: Progress = None,
@@ -103,6 +104,8 @@ def characterize(
             little in the fits (:meth:`imr_torch.record.Record.weighted`), or as much as the others.
         population: whether each curve is also fitted by itself, under the most probable model, and
             how much the gel differs between them is inferred (:mod:`imr_torch.population`).
+        over_time: whether the gel of one stretch of the event after another is fitted too
+            (:func:`imr_torch.goodness.follow_gel`), under the most probable model.
         seed: of everything random.
         on_prepared: called with the curves as they will be fitted, before the first fit.
         progress: called with one line per step.
@@ -202,6 +205,9 @@ def characterize(
         curves = weighted[best].of_curves(weighted.batch)
         tested = check_fit(*curves, simulator, seed=child(seed, "check"))
         parts = compare_parts(*curves, simulator)
+    stretches = None
+    if over_time and len(traces):
+        stretches = follow_gel(*weighted[best].of_curves(weighted.batch), simulator)
     gels = None
     if population:
         own = child(seed, "population")
@@ -237,6 +243,7 @@ def characterize(
         used,
         tested,
         parts,
+        stretches,
         medium,
         moved,
         frames_left_out(fitted, prepared.experiments),

@@ -57,6 +57,8 @@ class Characterization:
         fit_test: whether the most probable model explains the curves; None where that was not asked
             for.
         parts: whether the parts of the records agree; None where that was not asked for.
+        over_time: the gel of one stretch of the event after another; None where that was not asked
+            for.
         medium: the liquid side, with what was stated and what was assumed.
         sensitivities: what assumed values of the medium would change in the most probable model.
         spoilt: label of a curve -> numbers of the frames that single errors of the camera have spoilt,
@@ -99,6 +101,7 @@ class Characterization:
     frames: tuple[FrameUse, ...]
     fit_test: FitTest | None
     parts: PartsTest | None
+    over_time: list[Document] | None
     medium: GelMedium
     sensitivities: tuple[MediumSensitivity, ...]
     spoilt: Mapping[str, Sequence[int]]
@@ -191,6 +194,7 @@ class Characterization:
             "fit_test": tested
             and tested.to_dict() | {"command": command, "sentence": tested.sentence(command)},
             "parts": self.parts and self.parts.to_dict(),
+            "over_time": self.over_time,
             "population": self.population and self.population.to_dict(),
             "prior": self.assimilation.prior.to_dict(),
             "belief": self.posterior.to_dict(),

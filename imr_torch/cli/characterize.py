@@ -67,6 +67,7 @@ def run_command(args: Namespace) -> None:
         shots=shots,
         weigh_odd_shots=not args.count_all_shots,
         population=args.population,
+        over_time=args.over_time,
         seed=args.seed,
         on_prepared=show_prepared,
         progress=args.terminal.plan_stages(stages),

@@ -3,6 +3,6 @@ in which it may be wrong.
 """
 
 from imr_torch.goodness.fit_test import FitTest, check_fit
-from imr_torch.goodness.parts import PartsTest, compare_parts
+from imr_torch.goodness.parts import PartsTest, compare_parts, follow_gel
 
-__all__ = ["FitTest", "PartsTest", "check_fit", "compare_parts"]
+__all__ = ["FitTest", "PartsTest", "check_fit", "compare_parts", "follow_gel"]

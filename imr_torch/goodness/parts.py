@@ -10,6 +10,7 @@ show. A parameter is compared where a part tells of it: leaving it out widens it
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import torch
@@ -19,6 +20,7 @@ from torch import Tensor
 from imr_torch.assimilate import ModelFit, Point, Posterior
 from imr_torch.assimilate.fit import NEARLY
 from imr_torch.assimilate.local_minimum import descend_from
+from imr_torch.float64 import linspace
 from imr_torch.goodness.linear import whiten_rows
 from imr_torch.goodness.phases import phase_clock
 from imr_torch.html import render
@@ -225,3 +227,42 @@ def fit_frames(
     quantiles = intervals(found.posterior)
     own = {name: quantiles[name] for name in fit.prior.of_gel}
     return end.point.gel, own, end.gradient < NEARLY
+
+
+def follow_gel(
+    fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, windows: int = 8
+) -> list[dict[str, Any]]:
+    """The gel of one stretch of the event after another, each fitted alone, under the same prior.
+
+    What the field draws as G(t) and mu(t). A value that drifts says that one gel does not explain
+    all stretches; it does not say that the gel changes, since whatever the model lacks drifts too.
+
+    Args:
+        fit: that of all frames.
+        batch: its data, curves only.
+        simulator: makes the bubbles.
+        windows: stretches, with about as many frames each.
+
+    Returns:
+        Of each: ``t_star`` from and to, number of ``frames``, ``intervals`` and ``converged``.
+    """
+    near = fit.linearise(batch, simulator)
+    clock = phase_clock(batch.times, near.centre, batch.mask)
+    levels = linspace(0.0, 1.0, windows + 1)
+    ends = clock[batch.mask].quantile(levels)
+    rows = []
+    for low, high in pairwise(ends):
+        frames = (clock >= low) & (clock <= high) & batch.mask
+        if int(frames.sum(1).min()) < 2:
+            continue
+        _, own, converged = fit_frames(fit, batch, simulator, frames)
+        times = batch.times[frames]
+        rows.append(
+            {
+                "t_star": [float(times.min()), float(times.max())],
+                "frames": int(frames.sum()),
+                "intervals": own,
+                "converged": converged,
+            }
+        )
+    return rows

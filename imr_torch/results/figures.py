@@ -25,6 +25,7 @@ from imr_torch.results.charts import (
     residuals_figure,
 )
 from imr_torch.results.intervals import (
+    over_time_figure,
     parameters_of,
     parts_figure,
     plot_ratios,
@@ -103,6 +104,9 @@ def _characterization_figures(document: Document) -> Iterator[NamedFigure]:
         yield name_figure("characterize.parts", parts_figure, document["parts"])
     chances = document["model_probabilities"]
     best = max(chances, key=chances.__getitem__)
+    if stretches := document.get("over_time"):
+        whole = document["models"][best]["intervals"]
+        yield name_figure("characterize.over_time", over_time_figure, stretches, whole)
     if document.get("collapse_times"):
         yield name_figure("characterize.collapse_times", collapse_figure, document)
     prior, belief = (Belief.from_dict(document[name]) for name in ("prior", "belief"))

@@ -20,7 +20,7 @@ from imr_torch.drawing import (
     set_scale,
 )
 from imr_torch.files import Document
-from imr_torch.labels import plain
+from imr_torch.labels import T_STAR, plain
 from imr_torch.material import PARAMETERS
 
 MANY_SHOTS = 40
@@ -114,6 +114,33 @@ def parts_figure(parts: Document) -> Figure:
         ax.axvspan(*values[0, [0, 2]], color=PALE, alpha=0.3, lw=0)
         ax.set(xlabel=PARAMETERS[name].label, ylim=(len(rows) - 0.5, -0.5))
     axes[0, 0].set_yticks(range(len(rows)), [label for label, _ in rows])
+    return figure
+
+
+def over_time_figure(stretches: Sequence[Document], whole: Document) -> Figure:
+    """Each parameter of one stretch after another, each fitted alone, 90 % intervals, and of all
+    frames.
+
+    Args:
+        stretches: of :func:`imr_torch.goodness.follow_gel`.
+        whole: parameter -> interval of all frames, SI.
+    """
+    names = list(stretches[0]["intervals"])
+    size = (5.8, 0.6 + 1.8 * len(names))
+    figure, axes = plt.subplots(
+        len(names), 1, figsize=size, sharex=True, squeeze=False, layout="constrained"
+    )
+    times = floats([row["t_star"] for row in stretches])
+    middle = times.mean(1)
+    for ax, name in zip(axes[:, 0], names, strict=True):
+        scale = PARAMETERS[name].display_scale
+        values = scale * floats([row["intervals"][name] for row in stretches])
+        draw_intervals(ax, middle, values, upright=True, capsize=2, color=MODEL)
+        ax.hlines(values[:, 1], *times.T, color=MODEL, lw=1.0)
+        ax.axhspan(scale * whole[name][0], scale * whole[name][2], color=PALE, alpha=0.4, lw=0)
+        set_scale(ax, "y", values.min(), values.max(), ratio=NARROW)
+        ax.set_ylabel(PARAMETERS[name].label)
+    axes[-1, 0].set_xlabel(T_STAR)
     return figure
 
 

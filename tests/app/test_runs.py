@@ -250,7 +250,7 @@ def test_that_a_preset_can_be_run(command, preset):
 @pytest.mark.parametrize(
     ("command", "values"),
     [
-        ("characterize", {"models": ["nhkv", "gent+cross"], "growth": 0.6, "population": True}),
+        ("characterize", {"models": ["nhkv", "gent+cross"], "growth": 0.6, "over_time": True}),
         ("diagnose", {"without": ["wall"], "most": 2, "experiments": ["x", "y"]}),
         ("batch", {"each": True, "noise": "published"}),
         ("compare", {"model": "nhkv"}),

@@ -13,7 +13,7 @@ from torch import Tensor
 from imr_torch import PolytropicSimulator, wide_prior
 from imr_torch.assimilate import ModelFit, SearchOptions, assimilate
 from imr_torch.float64 import linspace, tensor
-from imr_torch.goodness import PartsTest, compare_parts
+from imr_torch.goodness import PartsTest, compare_parts, follow_gel
 from imr_torch.goodness.parts import Part
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise
