@@ -186,8 +186,7 @@ def diagnose(
             over = (sds[0] / sds[1])[inquiry.batch.mask].log().mean()
             tried = [step.winner.name for step in found.steps]
             again = abs(float(over)) > math.log(_OTHER_NOISE) or held.name not in tried
-            near = found.within_misfit.null
-            fit = fit_null(beside, seed=own, near=near) if again else null
+            fit = fit_null(beside, seed=own) if again else null
             if again and fit.certificate.usable:
                 null = fit
                 inquiry = replace(inquiry, batch=beside.batch)

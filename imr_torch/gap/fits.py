@@ -35,7 +35,7 @@ LEADING = 6
 """Fits of an attribution that get a second start by the simulator's own bubbles."""
 _MANY = 6  # starts where fewer disagree
 _AGAIN = 3  # starts beside a fit whose own disagree
-_ROUGHLY = 0.1  # gradient at which a fit by coarse bubbles ends
+_ROUGHLY = 0.03  # gradient at which a fit by coarse bubbles ends
 # chi squared per degree of freedom of a fit whose collapses may lie on the wrong side of a frame
 _FAR = 1.5
 _TOO_COARSE = 200.0  # nats of error of the cost beyond which coarse bubbles lead nowhere

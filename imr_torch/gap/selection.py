@@ -5,9 +5,8 @@ those held, until an unknown effect is improbable; the verdict is the set of cau
 expected loss (:mod:`imr_torch.gap.verdict`), "other" where an unknown effect stays more probable
 than not, and undecided where a fit that it rests on has not converged.
 
-Beside "other" stands what comes nearest (:mod:`imr_torch.gap.within_misfit`). A large gap is looked
-at that way first: with the camera's own noise each frame next to a collapse makes a local minimum,
-while fits with noise of the size of what is left have few, and lead the others to theirs.
+Beside "other" stands what comes nearest (:mod:`imr_torch.gap.within_misfit`); with the noise that is
+inferred beside that, hypotheses that are ahead are fitted again from their fits.
 """
 
 from collections.abc import Sequence
@@ -15,15 +14,16 @@ from dataclasses import dataclass, replace
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.gap.adequacy import Adequacy
-from imr_torch.gap.attribute import Attribution, attribute, reconsider
+from imr_torch.gap.attribute import Attribution, Candidates, attribute, reconsider
 from imr_torch.gap.fits import finish
 from imr_torch.gap.hypotheses import EXPLAINS, Hypothesis, Inquiry, in_words, laplace_evidence
 from imr_torch.gap.verdict import MEMBER, NONE, OTHER, SLOW_NOISE, Choice, choose
 from imr_torch.gap.within_misfit import (
     LED,
-    KnownPath,
+    WIDE,
     MisfitSelection,
     WithinMisfit,
+    choose_ahead,
     report_selection,
 )
 from imr_torch.labels import p_value
@@ -33,7 +33,6 @@ _NO_GAP = 0.5  # probability of the base model alone from which on there is no g
 # probability of an unknown effect from which on the verdict is "other", once further effects were
 # tried
 _UNKNOWN = 0.5
-_LARGE_GAP = 1e-6  # p-value below which the verdict was "other" in 13 of 13 measured sets
 
 
 @dataclass(frozen=True)
@@ -80,27 +79,23 @@ def select_causes(
     """Forward selection of parts until an unknown effect is improbable, and the verdict that
     follows.
 
-    Each round adds the part of largest evidence beside those held, or, of a large gap, what is
-    nearest. A first part that the second does not need is dropped. Where an unknown effect stays
-    more probable than not, the verdict is "other", or undecided where the last fit has not nearly
-    converged.
+    Each round adds the part of largest evidence beside those held. A first part that the second
+    does not need is dropped. Where an unknown effect stays more probable than not, the verdict is
+    "other", or undecided where the last fit has not nearly converged.
 
     Args:
         inquiry: base model, effects and data.
         null: the base model's fit.
         left: the gap test there.
-        nearest: an earlier verdict "other", with other noise; its parts are those that are tried.
+        nearest: an earlier verdict "other", with other noise, whose parts are held again.
         seed: of every random number.
     """
+    steps = nearest.within_misfit.steps if nearest and nearest.within_misfit else ()
+    finding = _select_until_adequate(inquiry, null, left, path=steps, seed=seed)
     laws = inquiry.batch.noise_laws
-    inferred = laws is not None and laws.of_residuals
-    if nearest is not None and nearest.within_misfit is not None:
-        steps = nearest.within_misfit.steps
-        finding = _select_until_adequate(
-            inquiry, null, left, lead=KnownPath(inquiry, steps), seed=seed
-        )
-        if finding.verdict != OTHER:
-            return finding
+    if finding.verdict != OTHER or laws is None or not laws.of_residuals:
+        return finding
+    if nearest is not None:
         return replace(
             finding,
             selected=nearest.selected,
@@ -108,13 +103,7 @@ def select_causes(
             within_misfit=nearest.within_misfit,
             reason=nearest.reason,
         )
-    lead = None
-    if inferred and left.test.p_value < _LARGE_GAP:
-        lead = MisfitSelection.begin(inquiry, null, seed=seed)
-    finding = _select_until_adequate(inquiry, null, left, lead=lead, seed=seed)
-    if finding.verdict != OTHER or not inferred:
-        return finding
-    lead = lead or MisfitSelection.begin(inquiry, null, before=len(finding.steps), seed=seed)
+    lead = MisfitSelection.begin(inquiry, null, before=len(finding.steps), seed=seed)
     while not lead.ended:
         held = lead.held.name
         lead.extend([step for step in finding.steps if step.held.name == held])
@@ -135,11 +124,18 @@ def _select_until_adequate(
     null: ModelFit,
     left: Adequacy,
     *,
-    lead: MisfitSelection | KnownPath | None,
+    path: Sequence[Candidates],
     seed: int,
 ) -> Finding:
-    """The selection with the noise of single frames; with a lead of the hypotheses that are ahead
-    with noise of the size of what is left, from the fits with that.
+    """The selection with the noise of single frames.
+
+    Args:
+        inquiry: base model, effects and data.
+        null: the base model's fit.
+        left: the gap test there.
+        path: an earlier selection with other noise: what it held is held, and the hypotheses that
+            were ahead are fitted from there. Without one all are, and what is best is held.
+        seed: of every random number.
     """
     held = Hypothesis(inquiry.base)
     fit = null
@@ -147,13 +143,14 @@ def _select_until_adequate(
     masked = 1.0
     steps: tuple[Attribution, ...] = ()
     while len(held.parts) < inquiry.most and inquiry.longer(held):
+        number = len(steps)
         own = child(seed, "attribute", len(held.parts))
-        begin = float(len(held.parts)) if lead is None else lead.place_led()
-        near = lead and lead.fits_ahead()
-        length = LED if lead else 1.0
-        counted = report_selection(
-            inquiry, held, "cause", begin, length=length, led=lead is not None
-        )
+        near = choose_ahead(path[number], inquiry) if path else None
+        begin = (1.0 + WIDE) * inquiry.most + LED * number if path else float(number)
+        length = LED if path else 1.0
+        what = "with new noise, cause" if path else "cause"
+        gap = left.test.p_value
+        counted = report_selection(inquiry, held, what, begin, length=length, gap=gap)
         found = attribute(counted, fit, held, before=before, near=near, seed=own, masked=masked)
         if held.parts and found.explained[found.winner.name] < EXPLAINS:
             break
@@ -170,8 +167,8 @@ def _select_until_adequate(
         if _is_slow_noise(found):
             p = found.adequacy.p_value
             return Finding(OTHER, (), "", held, fit, steps[0], p, choice, steps)
-        # a lead has fitted every part alone, where it is seen
-        named = None if lead else _with_one_part(inquiry, left, steps, seed)
+        # the path led to each part alone, where it is seen
+        named = None if path else _with_one_part(inquiry, left, steps, seed)
         if named is None and found.posterior[OTHER] <= _UNKNOWN:
             named = name_causes(found, choice)
         if named is not None:
@@ -180,12 +177,12 @@ def _select_until_adequate(
         fit = found.winner_fit
         before = found.left
         masked = masked * (1.0 - found.likeness.chance)
-        if lead is not None:
-            lead.extend([found])
-            if lead.ended:
+        if path:
+            if len(steps) == len(path):
                 break
-            if lead.held.name != held.name:
-                held = lead.held
+            next_held = path[len(steps)].held
+            if next_held.name != held.name:
+                held = next_held
                 fit = found.fits[held.name]
                 if not fit.certificate.usable:
                     fit = finish(inquiry, fit, held, seed=own)
