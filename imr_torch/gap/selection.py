@@ -24,6 +24,7 @@ from imr_torch.gap.within_misfit import (
     MisfitSelection,
     WithinMisfit,
     choose_ahead,
+    expect_selections,
     report_selection,
 )
 from imr_torch.labels import p_value
@@ -146,11 +147,11 @@ def _select_until_adequate(
         number = len(steps)
         own = child(seed, "attribute", len(held.parts))
         near = choose_ahead(path[number], inquiry) if path else None
-        begin = (1.0 + WIDE) * inquiry.most + LED * number if path else float(number)
-        length = LED if path else 1.0
+        begin = (1.0 + WIDE) * len(path) + LED * number if path else float(number)
+        times = (begin, begin + (LED if path else 1.0))
         what = "with new noise, cause" if path else "cause"
-        gap = left.test.p_value
-        counted = report_selection(inquiry, held, what, begin, length=length, gap=gap)
+        expected = 0.0 if path else expect_selections(inquiry, left)
+        counted = report_selection(inquiry, held, what, times, expected=expected)
         found = attribute(counted, fit, held, before=before, near=near, seed=own, masked=masked)
         if held.parts and found.explained[found.winner.name] < EXPLAINS:
             break

@@ -110,9 +110,13 @@ class MisfitSelection:
         """Fits of hypotheses with one part more than what is held."""
         if self._found is None:
             count = len(self.held.parts)
-            begin = self.before + count * WIDE
-            what = "no effect is enough, nearest cause"
-            counted = report_selection(self.widened, self.held, what, begin, length=WIDE)
+            counted = report_selection(
+                self.widened,
+                self.held,
+                "no effect is enough, nearest cause",
+                (self.before + count * WIDE, self.before + (count + 1) * WIDE),
+                expected=self.before * (1.0 + LED) + WIDE * self.inquiry.most,
+            )
             self._found = fit_candidates(
                 counted,
                 self.fit,
@@ -170,10 +174,9 @@ def report_selection(
     inquiry: Inquiry,
     held: Hypothesis,
     what: str,
-    begin: float,
+    times: tuple[float, float],
     *,
-    length: float = 1.0,
-    gap: float = 0.0,
+    expected: float = 0.0,
 ) -> Inquiry:
     """An inquiry that reports one selection; times are over that of one with the camera's noise.
 
@@ -181,16 +184,20 @@ def report_selection(
         inquiry: base model, effects and data.
         held: what was selected.
         what: a selection is of.
-        begin: when it begins.
-        length: how long it takes.
-        gap: p-value of the gap; a large one takes all selections.
+        times: when it begins and ends.
+        expected: time that all selections take, if that is more.
     """
-    laws = inquiry.batch.noise_laws
-    large = laws is not None and laws.of_residuals and gap < _LARGE_GAP
-    expected = max(begin + length, (1.0 + WIDE + LED) * inquiry.most if large else 0.0)
+    expected = max(times[1], expected)
     name = f"{what} {len(held.parts) + 1} of at most {inquiry.most}"
-    parts = (begin / expected, (begin + length) / expected)
+    parts = (times[0] / expected, times[1] / expected)
     return replace(inquiry, progress=within(inquiry.progress, *parts, name=name, size=expected))
+
+
+def expect_selections(inquiry: Inquiry, left: Adequacy) -> float:
+    """Time that all selections take where the gap is large and noise was inferred; else 0."""
+    laws = inquiry.batch.noise_laws
+    large = laws is not None and laws.of_residuals and left.test.p_value < _LARGE_GAP
+    return (1.0 + WIDE + LED) * inquiry.most if large else 0.0
 
 
 def weigh_beside_slow(

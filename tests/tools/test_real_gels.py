@@ -34,4 +34,6 @@ def test_that_what_may_be_quoted_follows_the_verdict(tmp_path):
     assert "Nothing can be quoted, since no cause is named: with what it may lack G" in nothing
     named = {"cause": ["wall"], "parameters": {"G": [2e3, 3e3, 4e3], "mu": [1, 2, 3]}}
     page, _ = write([row | named], tmp_path / "named")
-    assert "To quote: G is 3 (2 to 4) kPa (1.01 to 14.1 with what it may lack), 1.1 times" in page
+    low, _, high = row["parameters_with_model_error"]["G"]
+    wide = f"{low / 1e3:.3g} to {high / 1e3:.3g} with what it may lack"
+    assert f"To quote: G is 3 (2 to 4) kPa ({wide}), 1.1 times" in page
