@@ -49,7 +49,7 @@ def model(row: Line, name: str) -> Line:
     return next(own for key, own in row["models"].items() if key.split("+")[0] == name)
 
 
-def find_published(name: str, quantity: str) -> list[Line]:
+def find_independent(name: str, quantity: str) -> list[Line]:
     """Independent values of a set, with their ends; none where it has no such property."""
     values = [
         {"reading": "", "fit": False, "index": number, "ends": own["sets"].get(name)} | own
@@ -109,12 +109,12 @@ def check_viscosities(record: Record) -> Answer:
     return _in_words(found, " Pa s"), all(a[1] < b[1] for a, b in itertools.pairwise(found))
 
 
-def check_published_viscosities(record: Record) -> Answer:
-    """Middles over published ones, by each reading of the label; one reading must fit all four."""
+def check_independent_viscosities(record: Record) -> Answer:
+    """Middles over independent ones, by each reading of the label; one reading must fit all four."""
     ratios: dict[str, list[float]] = {}
     for row in _characterized(record, LIQUIDS):
         middle = model(row, "newtonian")["intervals"]["mu"][1]
-        for own in find_published(row["set"], "mu"):
+        for own in find_independent(row["set"], "mu"):
             ratios.setdefault(own["reading"], []).append(middle / sqrt(prod(own["ends"])))
     words = (f"{key}: {', '.join(f'{x:.2g}' for x in own)}" for key, own in ratios.items())
     fits = (len(own) == len(LIQUIDS) and all(0.5 < x < 2 for x in own) for own in ratios.values())
@@ -129,7 +129,7 @@ def check_independent(record: Record) -> Answer:
         hits = []
         for row in _diagnosed(record, "parameters_with_model_error"):
             low, _, high = row["parameters_with_model_error"][quantity]
-            known = find_published(row["set"], quantity)
+            known = find_independent(row["set"], quantity)
             ends = [x["ends"] for x in known if x["ends"] and not x["fit"]]
             hits += [any(low <= b and a <= high for a, b in ends)] if ends else []
         words.append(f"{quantity}: {sum(hits)} of {len(hits)}")
@@ -219,7 +219,7 @@ def check_certificates(record: Record) -> Answer:
 CHECKS: dict[str, Callable[[Record], Answer]] = {
     "liquids": check_liquids,
     "viscosities": check_viscosities,
-    "published_viscosities": check_published_viscosities,
+    "independent_viscosities": check_independent_viscosities,
     "elasticity": _check_causes(LIQUIDS, lambda found: not any(ELASTIC & own for own in found)),
     "water": _check_causes(WATER, lambda found: not any(found)),
     "gel03": _check_drives("gel03"),

@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 from jinja2 import StrictUndefined, Template
 from matplotlib.figure import Figure
 
-from benchmarks.real_gels_controls import KNOWN, Record, controls, find_published, model
+from benchmarks.real_gels_controls import KNOWN, Record, controls, find_independent, model
 from benchmarks.records import Line, write_table
 from imr_torch.drawing import DATA, MODEL, SECOND, TRUTH
 
@@ -55,7 +55,7 @@ def write_page(rows: list[Line], path: Path, figures: Path) -> None:
 
 
 def _read_set(record: Record, name: str) -> dict[str, Any]:
-    """What is known of a set, its diagnosis, and intervals and published values of both quantities."""
+    """What is known of a set, its diagnosis, and intervals and independent values of both quantities."""
     row = record[name, "diagnose"]
     fitted = record.get((name, "characterize"), {})
     triples = {
@@ -67,7 +67,7 @@ def _read_set(record: Record, name: str) -> dict[str, Any]:
         "name": name,
         "row": row,
         "intervals": {x: {key: own[x] for key, own in triples.items() if own} for x in QUANTITIES},
-        "published": {x: find_published(name, x) for x in QUANTITIES},
+        "independent": {x: find_independent(name, x) for x in QUANTITIES},
     }
 
 
@@ -79,7 +79,7 @@ def _draw_set(own: dict[str, Any]) -> Figure:
             (label, triple, DATA if label == "characterize" else MODEL)
             for label, triple in own["intervals"][quantity].items()
         ]
-        for x in own["published"][quantity]:
+        for x in own["independent"][quantity]:
             if x["ends"]:
                 low, high = x["ends"]
                 color = SECOND if x["fit"] else TRUTH

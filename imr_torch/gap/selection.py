@@ -19,7 +19,7 @@ from imr_torch.gap.fits import finish
 from imr_torch.gap.hypotheses import EXPLAINS, Hypothesis, Inquiry, in_words, laplace_evidence
 from imr_torch.gap.verdict import MEMBER, NONE, OTHER, SLOW_NOISE, Choice, choose
 from imr_torch.gap.within_misfit import (
-    LED,
+    AGAIN,
     WIDE,
     MisfitSelection,
     WithinMisfit,
@@ -104,17 +104,17 @@ def select_causes(
             within_misfit=nearest.within_misfit,
             reason=nearest.reason,
         )
-    lead = MisfitSelection.begin(inquiry, null, before=len(finding.steps), seed=seed)
-    while not lead.ended:
-        held = lead.held.name
-        lead.extend([step for step in finding.steps if step.held.name == held])
-    parts = " and ".join(map(in_words, lead.held.parts))
+    nearer = MisfitSelection.begin(inquiry, null, before=len(finding.steps), seed=seed)
+    while not nearer.ended:
+        held = nearer.held.name
+        nearer.extend([step for step in finding.steps if step.held.name == held])
+    parts = " and ".join(map(in_words, nearer.held.parts))
     explained = f"some of it goes with {parts}" if parts else "none explains any of it"
     return replace(
         finding,
-        selected=lead.held,
-        selected_fit=lead.fit,
-        within_misfit=lead.conclude(),
+        selected=nearer.held,
+        selected_fit=nearer.fit,
+        within_misfit=nearer.conclude(),
         reason="No effect of the library is enough; where all that is left counts as noise, "
         f"{explained}.",
     )
@@ -147,8 +147,8 @@ def _select_until_adequate(
         number = len(steps)
         own = child(seed, "attribute", len(held.parts))
         near = choose_ahead(path[number], inquiry) if path else None
-        begin = (1.0 + WIDE) * len(path) + LED * number if path else float(number)
-        times = (begin, begin + (LED if path else 1.0))
+        begin = (1.0 + WIDE) * len(path) + AGAIN * number if path else float(number)
+        times = (begin, begin + (AGAIN if path else 1.0))
         what = "with new noise, cause" if path else "cause"
         expected = 0.0 if path else expect_selections(inquiry, left)
         counted = report_selection(inquiry, held, what, times, expected=expected)

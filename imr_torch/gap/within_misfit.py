@@ -26,10 +26,13 @@ from imr_torch.simulate import Simulator
 from imr_torch.types import ProgressLine, within
 
 WIDE = 0.5
-LED = 0.2
-"""Time of a selection with wide noise, and of one that begins at known fits, over that of another."""
+"""Time of a selection with wide noise over that of one with the camera's."""
+AGAIN = 0.2
+"""The same of one that begins at known fits."""
 
-_AHEAD = 8  # hypotheses whose most probable points beside slow noise are found, or that are led
+_AHEAD = (
+    8  # hypotheses whose most probable points beside slow noise are found, or that are fitted anew
+)
 # p-value below which the verdict was "other" in 13 of 13 measured sets
 _LARGE_GAP = 1e-6
 _SIFTED = 5  # starts of an effect; minima that noise of this size leaves are of about one depth
@@ -85,7 +88,6 @@ class MisfitSelection:
     before: int
     steps: list[Candidates] = field(default_factory=list)
     ended: bool = False
-    _found: Candidates | None = None
 
     @classmethod
     def begin(
@@ -105,38 +107,36 @@ class MisfitSelection:
         left = widened.test(fit, held, seed=seed)
         return cls(inquiry, widened, held, fit, left, (fit, widened.batch), seed, before)
 
-    @property
-    def found(self) -> Candidates:
+    def _fit_longer(self) -> Candidates:
         """Fits of hypotheses with one part more than what is held."""
-        if self._found is None:
-            count = len(self.held.parts)
-            counted = report_selection(
-                self.widened,
-                self.held,
-                "no effect is enough, nearest cause",
-                (self.before + count * WIDE, self.before + (count + 1) * WIDE),
-                expected=self.before * (1.0 + LED) + WIDE * self.inquiry.most,
-            )
-            self._found = fit_candidates(
-                counted,
-                self.fit,
-                self.held,
-                starts=self.left.starts,
-                sifted=_SIFTED,
-                seed=child(self.seed, "misfit", count),
-            )
-        return self._found
+        count = len(self.held.parts)
+        counted = report_selection(
+            self.widened,
+            self.held,
+            "no effect is enough, nearest cause",
+            (self.before + count * WIDE, self.before + (count + 1) * WIDE),
+            expected=self.before * (1.0 + AGAIN) + WIDE * self.inquiry.most,
+        )
+        return fit_candidates(
+            counted,
+            self.fit,
+            self.held,
+            starts=self.left.starts,
+            sifted=_SIFTED,
+            seed=child(self.seed, "misfit", count),
+        )
 
     def extend(self, beside: Sequence[Candidates]) -> None:
         """Select the next part beside slow noise, by these fits and those of other attributions; if
         none explains enough there, by this noise.
         """
         inquiry = self.inquiry
-        step, explained = weigh_beside_slow([self.found, *beside], inquiry.batch, inquiry.simulator)
+        found = self._fit_longer()
+        step, explained = weigh_beside_slow([found, *beside], inquiry.batch, inquiry.simulator)
         self.steps.append(step)
         name, nats = max(explained.items(), key=itemgetter(1), default=("", 0.0))
         if nats < EXPLAINS:
-            name, nats = next(iter(self.found.explained.items()))
+            name, nats = next(iter(found.explained.items()))
             if nats < EXPLAINS:
                 self.ended = True
                 return
@@ -146,7 +146,6 @@ class MisfitSelection:
             self.widened, self.held, step.fits[name], of_misfit=True, seed=own
         )
         self.left = self.widened.test(self.fit, self.held, seed=own)
-        self._found = None
         self.ended = len(self.held.parts) >= inquiry.most or not inquiry.longer(self.held)
 
     def conclude(self) -> WithinMisfit:
@@ -197,7 +196,7 @@ def expect_selections(inquiry: Inquiry, left: Adequacy) -> float:
     """Time that all selections take where the gap is large and noise was inferred; else 0."""
     laws = inquiry.batch.noise_laws
     large = laws is not None and laws.of_residuals and left.test.p_value < _LARGE_GAP
-    return (1.0 + WIDE + LED) * inquiry.most if large else 0.0
+    return (1.0 + WIDE + AGAIN) * inquiry.most if large else 0.0
 
 
 def weigh_beside_slow(
