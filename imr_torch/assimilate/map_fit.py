@@ -171,14 +171,15 @@ def _search_in_turn(reports: _Reports, options: SearchOptions) -> None:
     of those before it.
     """
     searches = reports.searches
+    drop_behind = math.inf if options.drop_behind is None else options.drop_behind
+    lowest = options.rival
     begun = []
     for one in searches:
+        one.limit = lowest + drop_behind
         begun.append(one.approach_first())
         reports.begun += 1
         if reports.masking and len(searches) > 1:
             reports.report_step(f"assimilation: {one.posterior.prior.material.title} begun")
-    drop_behind = math.inf if options.drop_behind is None else options.drop_behind
-    lowest = options.rival
     # models with many starts last, since each start ends where it cannot come near the lowest
     costs = zip(begun, searches, strict=True)
     for _, one in sorted(costs, key=lambda pair: (len(pair[1].starts) > 2, pair[0])):

@@ -78,7 +78,7 @@ class ModelSearch:
             starts = sorted(starts, key=self._cost_at)
         self._add_minimum(starts[0])
         for start in starts[1:]:
-            if several or not (self._two_agree() or self._is_behind(self.lowest)):
+            if several or not (self._two_agree() or _is_behind(self.lowest, self.limit)):
                 self._add_minimum(self._lower_masked(start))
         if len(starts) > 1:
             self._agree_nearby()
@@ -136,27 +136,34 @@ class ModelSearch:
     def _agree_nearby(self) -> None:
         """Descend from points near the lowest one while no two ends agree."""
         for away in (self.options.descent.restart, self.options.descent.nearer):
-            if not self._two_agree() and not self._is_behind(self.lowest):
+            if not self._two_agree() and not _is_behind(self.lowest, self.limit):
                 self._add_minimum(self._move_away(self.lowest, away))
 
     def _two_agree(self) -> bool:
         return self.agreement < self.options.agreement
 
-    def _is_behind(self, end: Descent) -> bool:
-        """Whether a cost, less what its gradient allows, is above the limit."""
-        return end.cost - PROMISED * min(end.gradient, 1e6) ** 2 > self.limit
+    def _highest_useful(self) -> float:
+        """Cost above which a descent ends: of a model among others that of its lowest minimum too."""
+        if self.options.drop_behind is None or not self.minima:
+            return self.limit
+        return min(self.limit, self.lowest.cost + self.options.agreement)
 
     def _lower_masked(self, point: Point) -> Point:
-        """A point lowered by coarse bubbles without the frames next to collapses."""
+        """A point lowered by coarse bubbles without the frames next to collapses, as far as it may
+        come below the limit.
+        """
         if not self.masking:
             return point
         masked = without_collapses(self.posterior.coarse)
+        # frames can only add to the cost, but for the normaliser of their noise
+        added = self.posterior.least_cost - masked.least_cost
         return descend_from(
             masked,
             point,
             None,
             gradient=self.options.descent.own_steps,
             iterations=self.options.iterations,
+            limit=self.limit - added,
             failures=self.options.descent.failures,
         ).point
 
@@ -164,6 +171,8 @@ class ModelSearch:
         """Add the minimum below a point, by bubbles that take the solver steps of one."""
         left = self.options.iterations
         options = self.options.descent
+
+        limit = self._highest_useful()
 
         def lower_cost(leader: Point | None, gradient: float, reach: float = math.inf) -> Descent:
             return descend_from(
@@ -173,7 +182,7 @@ class ModelSearch:
                 gradient=gradient,
                 iterations=min(left, options.leader_iterations),
                 reach=reach,
-                limit=self.limit,
+                limit=limit,
                 failures=options.failures,
                 report=self.report,
             )
@@ -182,7 +191,7 @@ class ModelSearch:
         if leader is None:
             end = lower_cost(None, options.own_steps)
             left -= end.iterations
-            if self._is_behind(end):
+            if _is_behind(end, limit):
                 self.minima.append(end)
                 return
             point = end.point
@@ -197,7 +206,7 @@ class ModelSearch:
             arrived = end.gradient < self.options.gradient and end.distance_to(leader) < close
             # where no step of its own bubbles lowers the cost, as beside gels whose bubbles fail
             stuck = not shared and end.distance_to(point) == 0.0
-            if arrived or stuck or end.iterations == 0 or left <= 0 or self._is_behind(end):
+            if arrived or stuck or end.iterations == 0 or left <= 0 or _is_behind(end, limit):
                 self.minima.append(replace(end, iterations=self.options.iterations - left))
                 return
             point = end.point
@@ -217,3 +226,8 @@ class ModelSearch:
         move = draw_perturbation(end.equations.posterior_chol, self.source, away)
         response = end.equations.reduced.nuisance_response
         return Point(end.point.gel + move, end.point.nuisances + response @ move)
+
+
+def _is_behind(end: Descent, limit: float) -> bool:
+    """Whether a cost, less what its gradient allows, is above a limit."""
+    return end.cost - PROMISED * min(end.gradient, 1e6) ** 2 > limit

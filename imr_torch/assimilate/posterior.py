@@ -53,6 +53,11 @@ class Posterior(ForwardModel):
         simulator = coarser(self.simulator)
         return self if simulator is self.simulator else replace(self, simulator=simulator)
 
+    @cached_property
+    def least_cost(self) -> float:
+        """Nats of a prediction that meets the mean of every frame, less than which no gel has."""
+        return -float(self.batch.log_likelihood(self.batch.mean).sum())
+
     def of_experiments(self, rows: Int[Tensor, "rows"]) -> "Posterior":
         """That of some of the experiments."""
         experiments = tuple(self.batch.experiments[row] for row in rows.tolist())

@@ -220,7 +220,8 @@ def _descend(
 
     The first of these, so many as are to be fitted ``twice``, get a second start beside that. The
     others have the agreement of their starts by coarse bubbles in their certificates, and none
-    where no fit is made twice. A fit that was left behind has the cost that the simulator gives it
+    where no fit is made twice; where coarse bubbles have the simulator's cost, they stay as these
+    left them. A fit that was left behind has the cost that the simulator gives it
     where it ended, and has not converged.
     """
     search = partial(assimilate, seed=seed, warn=False)
@@ -243,6 +244,10 @@ def _descend(
     report = within(progress, 0.65, 0.8, name="near the best")
     for places, again in ((near[:twice], True), (near[twice:], False)):
         if not places:
+            continue
+        if not again and error < NEARLY:
+            for i in places:
+                fits[i] = replace(fits[i], certificate=found[i].certificate)
             continue
         chosen = tuple(fits[i] for i in places)
         kept = even_belief(fit.prior for fit in chosen)

@@ -2,12 +2,15 @@
 must not stay on the wrong one.
 """
 
+import math
+from dataclasses import dataclass, field
+
 import pytest
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import SearchOptions, assimilate, starts
-from imr_torch.float64 import arange, linspace, randn
+from imr_torch.assimilate import Point, Posterior, SearchOptions, assimilate, starts
+from imr_torch.float64 import arange, linspace, randn, zeros
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise
 from imr_torch.random import generator
@@ -74,3 +77,58 @@ def test_which_frames_are_next_to_a_collapse():
     assert kept.tolist() == [True, True, False, False, False, True, True, True, False, False]
     for short in (tensor(1.0, 1.0, 1.0), tensor(1.0, 0.2, 0.9)):
         assert bool(starts.away_from_collapses(arange(3), short).all())
+
+
+@dataclass(frozen=True)
+class CountingSimulator(CuspedSimulator):
+    """The same, with a note of each call."""
+
+    calls: list[int] = field(default_factory=list)
+
+    def formula(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Tensor:
+        self.calls.append(len(parameters))
+        return super().formula(parameters, designs, times)
+
+
+@pytest.mark.parametrize("beside", [True, False])
+def test_that_the_way_without_collapses_ends_where_it_cannot_come_near_a_known_fit(beside):
+    """Frames that are left out only add to the cost; a fit far below that cannot be reached, one
+    beside it can.
+    """
+    gel = PARAMETERS.pack({name: MEANS[name] + 0.5 * SDS[name] for name in ("G", "mu")})
+    data = CuspedSimulator()(gel, tensor(500.0, 0.2), TIMES).radius[None]
+    batch = ExperimentBatch((Experiment("cusp", (500.0, 0.2), TIMES, data),), NOISE)
+
+    def search(rival: float) -> tuple[float, int]:
+        simulator = CountingSimulator()
+        options = SearchOptions(starts=2, drop_behind=6.0, rival=rival, mask_collapses=True)
+        begin = [tensor((1.5, -1.0), (1.4, 1.0))]
+        fit = assimilate(
+            prior(("nhkv",)),
+            batch,
+            simulator,
+            seed=0,
+            options=options,
+            starts=begin,
+            warn=False,
+        ).fits[0]
+        return fit.cost, sum(simulator.calls)
+
+    free, all_calls = search(math.inf)
+    cost, calls = search(free + 3.0 if beside else free - 1000.0)
+    if beside:
+        assert cost == pytest.approx(free, abs=1e-6)
+        assert calls <= all_calls
+    else:
+        assert cost > free - 1000.0
+        assert calls < 0.5 * all_calls
+
+
+def test_that_no_gel_costs_less_than_a_prediction_that_meets_every_frame():
+    data = CuspedSimulator()(PARAMETERS.pack(MEANS), tensor(500.0, 0.2), TIMES).radius[None]
+    batch = ExperimentBatch((Experiment("cusp", (500.0, 0.2), TIMES, data),), NOISE)
+    posterior = Posterior(prior(("nhkv",)).models[0], batch, CuspedSimulator())
+    gels = torch.cat((zeros(1, 2), randn(50, 2, generator=generator(1))))
+    costs = -posterior.log_joint(Point(gels, posterior.mean_nuisances(len(gels))))
+    assert float(costs[0]) == pytest.approx(posterior.least_cost, abs=1e-9)
+    assert float(costs[1:].amin()) > posterior.least_cost

@@ -96,7 +96,7 @@ def test_that_a_chi_square_alone_is_the_smallest_test(matched):
 
 def test_where_fits_of_an_effect_start(matched):
     """Beside the neutral value, then at the size that the residual asks for; an effect with a shape
-    from all its starts.
+    from all its starts, but of two opposite ones only from that which leads downhill.
     """
     line, rows, _ = matched
     leaning = replace(line, residual=line.project_out(0.8 * rows["gas_loss"][1]))
@@ -104,9 +104,19 @@ def test_where_fits_of_an_effect_start(matched):
     own = [start[0] for start in LIBRARY["gas_loss"].starts]
     assert small[0] == pytest.approx(0.05 * own[1])
     assert 0.5 * min(own) <= asked[0] <= 1.5 * max(own)
+    waves = LIBRARY["sound_field"].starts
     shaped = promising_starts(LIBRARY["sound_field"], rows["sound_field"], leaning)
-    assert shaped[1:] == LIBRARY["sound_field"].starts
-    assert shaped[0][1:] in {start[1:] for start in LIBRARY["sound_field"].starts}
+    assert shaped[0][1:] in {start[1:] for start in waves}
+    across = replace(leaning, residual=-leaning.residual)
+    other = promising_starts(LIBRARY["sound_field"], rows["sound_field"], across)
+    assert set(shaped[1:]) | set(other[1:]) == set(waves)
+    left = line.project_out(rows["sound_field"])
+    left = left / left.norm(dim=1, keepdim=True)
+    gone = [i for i, start in enumerate(waves) if start not in shaped]
+    kept = [i for i, start in enumerate(waves) if start in shaped]
+    assert gone
+    assert bool((left[gone] @ leaning.residual < 0.0).all())
+    assert bool(((left[gone] @ left[kept].mT).amin(1) < -0.95).all())
 
 
 def test_that_bias_is_what_is_left_beyond_noise():
