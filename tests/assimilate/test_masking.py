@@ -102,7 +102,7 @@ def test_that_the_way_without_collapses_ends_where_it_cannot_come_near_a_known_f
     def search(rival: float) -> tuple[float, int]:
         simulator = CountingSimulator()
         options = SearchOptions(starts=2, drop_behind=6.0, rival=rival, mask_collapses=True)
-        begin = [tensor((1.5, -1.0), (1.4, 1.0))]
+        begin = [tensor((-2.5, 2.0), (2.5, -2.0))]
         fit = assimilate(
             prior(("nhkv",)),
             batch,
@@ -121,7 +121,7 @@ def test_that_the_way_without_collapses_ends_where_it_cannot_come_near_a_known_f
         assert calls <= all_calls
     else:
         assert cost > free - 1000.0
-        assert calls < 0.5 * all_calls
+        assert calls < 0.25 * all_calls
 
 
 def test_that_no_gel_costs_less_than_a_prediction_that_meets_every_frame():
