@@ -102,7 +102,7 @@ def test_that_the_way_without_collapses_ends_where_it_cannot_come_near_a_known_f
     def search(rival: float) -> tuple[float, int]:
         simulator = CountingSimulator()
         options = SearchOptions(starts=2, drop_behind=6.0, rival=rival, mask_collapses=True)
-        begin = [tensor((-2.5, 2.0), (2.5, -2.0))]
+        begin = [tensor((2.5, -2.0), (2.4, -2.0)) if beside else tensor((-2.5, 2.0), (2.5, -2.0))]
         fit = assimilate(
             prior(("nhkv",)),
             batch,
