@@ -20,6 +20,7 @@ independent values (`records/real_gels.toml`, which holds the stated media too).
 """
 
 import json
+import math
 import time
 import warnings
 from collections.abc import Callable, Sequence
@@ -40,7 +41,14 @@ from imr_torch.errors import ImrError, InputDataError
 from imr_torch.gap import GapReport, diagnose, examine, library, to_json
 from imr_torch.gap.held_out import judge_designs
 from imr_torch.material import wide_prior
-from imr_torch.observe import Experiment, Noise, TraceSet, find_landmarks, prepare
+from imr_torch.observe import (
+    Experiment,
+    Noise,
+    TraceSet,
+    collapse_time,
+    find_landmarks,
+    prepare,
+)
 from imr_torch.random import child
 from imr_torch.simulate import ACCURACIES, TransportSimulator
 from imr_torch.units import Surroundings
@@ -122,7 +130,7 @@ def diagnose_set(file: Path, most: int, medium: str, *, other: bool) -> Line:
     document = to_json(report, parts)
     about: Line = {"curves": [e.label for e in fitted], "unseen": [e.label for e in unseen]}
     if parts is not None and parts.shrinkage is not None:
-        about["left"] = left_on(unseen, report, simulator, seed)
+        about |= left_on(unseen, report, simulator, seed)
     return about | {name: document[name] for name in KEPT} | {"rest_assumed": rest is not None}
 
 
@@ -148,18 +156,32 @@ def further_curves(
 
 def left_on(
     unseen: Sequence[Experiment], report: GapReport, simulator: TransportSimulator, seed: int
-) -> dict[str, list[float]]:
+) -> dict[str, dict[str, list[float]]]:
     """Root mean square of what each unseen curve leaves, standardised, without what was selected
-    and with it; a curve's own Rmax, time zero and R_inf are fitted by the same noise.
+    and with it: of all frames, and without those next to the first collapse. A curve's own Rmax,
+    time zero and R_inf are fitted by the same noise.
     """
     batch = replace(report.batch, experiments=tuple(unseen), noise=JUDGING, noise_laws=None)
-    left: dict[str, list[float]] = {"base": [], "selected": []}
+    every: dict[str, list[float]] = {"base": [], "selected": []}
+    away: dict[str, list[float]] = {"base": [], "selected": []}
     for pair in judge_designs(report, simulator, batch, seed=seed):
         for name, one in (("base", pair.base), ("selected", pair.effect)):
             (shot,) = one.line.batch.experiments
             square = standardise(shot, one.line.prediction[0, : len(shot.times)]).square()
-            left[name].append(float(square.mean().sqrt()))
-    return left
+            every[name].append(float(square.mean().sqrt()))
+            away[name].append(float(square[away_from_first_collapse(shot)].mean().sqrt()))
+    return {"left": every, "left_away": away}
+
+
+def away_from_first_collapse(shot: Experiment) -> Tensor:
+    """Frames but those from 1.3 R_inf on the way into the first collapse to .95 R_inf on the way
+    out, which the study outside the package left out of gels.
+    """
+    rest = shot.mean / shot.design[1]
+    first = collapse_time(shot.times, shot.mean, 1)
+    begin = shot.times[(shot.times < first) & (rest > 1.3)].amax()
+    end = shot.times[(shot.times > first) & (rest > 0.95)]
+    return (shot.times <= begin) | (shot.times >= (end.amin() if len(end) else math.inf))
 
 
 def standardise(shot: Experiment, seen: Tensor) -> Tensor:

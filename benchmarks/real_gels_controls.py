@@ -187,13 +187,20 @@ def check_share(record: Record) -> Answer:
     return f"{value}, {len(judged)} sets", sure and share >= 0.75 and chance < 0.2
 
 
-def check_left(record: Record) -> Answer:
+def _check_left(field: str) -> Callable[[Record], Answer]:
     """What is left on unseen curves, in units of .004 in R* and .15 frames of jitter: the median
     over sets of the median over curves, without and with what was selected.
     """
-    rows = [row["left"] for row in _diagnosed(record, "left")]
-    base, selected = (median(median(row[name]) for row in rows) for name in ("base", "selected"))
-    return f"{selected:.1f} ({base:.1f} by the base model), {len(rows)} sets", selected <= 2.5
+
+    def check(record: Record) -> Answer:
+        rows = [row[field] for row in _diagnosed(record, field)]
+        base, selected = (
+            median(median(row[name]) for row in rows) for name in ("base", "selected")
+        )
+        value = f"{selected:.1f} ({base:.1f} by the base model), {len(rows)} sets"
+        return value, selected <= 2.5
+
+    return check
 
 
 def check_halves(record: Record) -> Answer:
@@ -227,7 +234,8 @@ CHECKS: dict[str, Callable[[Record], Answer]] = {
     "crosslinking": check_crosslinking,
     "independent": check_independent,
     "share": check_share,
-    "left": check_left,
+    "left": _check_left("left"),
+    "left_away": _check_left("left_away"),
     "certificates": check_certificates,
     "halves": check_halves,
 }

@@ -2,8 +2,13 @@
 
 from pathlib import Path
 
+import torch
+
+from benchmarks.real_gels import away_from_first_collapse
 from benchmarks.real_gels_page import write_page
 from benchmarks.records import read_record
+from imr_torch.float64 import tensor
+from imr_torch.observe import Experiment
 from tests.figures import rendering
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -37,3 +42,10 @@ def test_that_what_may_be_quoted_follows_the_verdict(tmp_path):
     low, _, high = row["parameters_with_model_error"]["G"]
     wide = f"{low / 1e3:.3g} to {high / 1e3:.3g} with what it may lack"
     assert f"To quote: G is 3 (2 to 4) kPa ({wide}), 1.1 times" in page
+
+
+def test_which_frames_are_next_to_the_first_collapse():
+    radius = tensor([1.0, 0.8, 0.5, 0.25, 0.05, 0.18, 0.35, 0.3, 0.1, 0.25])  # R_inf is .2
+    shot = Experiment("shot", (300.0, 0.2), torch.arange(10.0).double(), radius[None])
+    away = away_from_first_collapse(shot)
+    assert away.tolist() == [True] * 3 + [False] * 3 + [True] * 4
