@@ -129,9 +129,18 @@ def diagnose_set(file: Path, most: int, medium: str, *, other: bool) -> Line:
     parts = None if other else examine(report, simulator, unseen=unseen, seed=seed)
     document = to_json(report, parts)
     about: Line = {"curves": [e.label for e in fitted], "unseen": [e.label for e in unseen]}
+    about["strengths"] = strengths_of(report)
     if parts is not None and parts.shrinkage is not None:
         about |= left_on(unseen, report, simulator, seed)
     return about | {name: document[name] for name in KEPT} | {"rest_assumed": rest is not None}
+
+
+def strengths_of(report: GapReport) -> dict[str, float]:
+    """Of each selected effect its amplitude, as a normal score of its prior."""
+    fit = report.selected_fit
+    values = dict(zip(fit.prior.names, fit.prior.physical(fit.mean), strict=True))
+    amplitudes = ((effect.names[0], effect) for effect in report.selected.effects)
+    return {e.name: float(e.priors[name].to_control(values[name])) for name, e in amplitudes}
 
 
 def further_curves(

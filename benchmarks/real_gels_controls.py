@@ -203,6 +203,16 @@ def _check_left(field: str) -> Callable[[Record], Answer]:
     return check
 
 
+def check_strengths(record: Record) -> Answer:
+    """Sets whose selected effects all have strengths within three standard deviations."""
+    rows = [list(row["strengths"].values()) for row in _diagnosed(record, "strengths")]
+    plausible = sum(max(map(abs, row)) <= 3.0 for row in rows)
+    farthest = max(abs(x) for row in rows for x in row)
+    return f"{plausible} of {len(rows)} sets, farthest {farthest:.1f}", plausible >= 0.92 * len(
+        rows
+    )
+
+
 def check_halves(record: Record) -> Answer:
     """Whether both halves of a gel's curves select the same part first."""
     pairs = [
@@ -236,6 +246,7 @@ CHECKS: dict[str, Callable[[Record], Answer]] = {
     "share": check_share,
     "left": _check_left("left"),
     "left_away": _check_left("left_away"),
+    "strengths": check_strengths,
     "certificates": check_certificates,
     "halves": check_halves,
 }
