@@ -175,7 +175,7 @@ def left_on(
     away: dict[str, list[float]] = {"base": [], "selected": []}
     for pair in judge_designs(report, simulator, batch, seed=seed):
         for name, one in (("base", pair.base), ("selected", pair.effect)):
-            (shot,) = one.line.batch.experiments
+            (shot,) = one.line.batch.curves
             square = standardise(shot, one.line.prediction[0, : len(shot.times)]).square()
             every[name].append(float(square.mean().sqrt()))
             away[name].append(float(square[away_from_first_collapse(shot)].mean().sqrt()))
