@@ -50,7 +50,7 @@ from imr_torch.observe import (
     prepare,
 )
 from imr_torch.random import child
-from imr_torch.simulate import ACCURACIES, TransportSimulator
+from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator
 from imr_torch.units import Surroundings
 
 SETS: dict[str, str] = {name: own["medium"] for name, own in KNOWN["sets"].items()}
@@ -164,7 +164,7 @@ def further_curves(
 
 
 def left_on(
-    unseen: Sequence[Experiment], report: GapReport, simulator: TransportSimulator, seed: int
+    unseen: Sequence[Experiment], report: GapReport, simulator: Simulator, seed: int
 ) -> dict[str, dict[str, list[float]]]:
     """Root mean square of what each unseen curve leaves, standardised, without what was selected
     and with it: of all frames, and without those next to the first collapse. A curve's own Rmax,
