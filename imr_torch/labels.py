@@ -35,14 +35,15 @@ def model_probability(value: float, error: float) -> str:
     open.
 
     >>> from imr_torch.labels import model_probability
-    >>> model_probability(0.964, 0.027), model_probability(0.888, 0.838)[:22]
-    ('probability 0.964 +- 0.027', 'probability undecided ')
+    >>> model_probability(0.964, 0.027), model_probability(1e-9, 1e-10)
+    ('probability 0.964 +- 0.027', 'probability below 0.001')
+    >>> model_probability(0.888, 0.838)
+    'probability undecided (0.89 +- 0.84; --effort thorough draws more)'
     """
     if error > _OPEN and error >= min(value, 1.0 - value):
-        return (
-            f"probability undecided ({value:.2f} by too few draws, error {error:.2f}; "
-            "effort='thorough' draws more)"
-        )
+        return f"probability undecided ({value:.2f} +- {error:.2f}; --effort thorough draws more)"
+    if value + error < 0.0005:
+        return "probability below 0.001"
     return f"probability {value:.3f} +- {error:.3f}"
 
 

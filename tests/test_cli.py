@@ -473,6 +473,10 @@ CURVE = "".join(f"a,{i}e-6,{(300 - 9 * i if i < 30 else 10 + i) * 1e-6}\n" for i
             ["design", "--models", "nhkv", "--we-range", "150,600"],
             r"--we-range: '150,600' is not LOW:HIGH, for example 0\.15:0\.25",
         ),
+        (
+            ["design", "--models", "nhkv", "--rinf-range", "0.3:0.2"],
+            r"imr-torch: --rinf-range is \(0\.3, 0\.2\); expected 0 < lower < upper < 1\.",
+        ),
         (["design", "--belief", "none.json"], r"none\.json: no such file; expected .*folder"),
         (
             ["design", "--case", "soft-pa", "--belief", "x.json"],

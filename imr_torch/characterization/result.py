@@ -31,6 +31,7 @@ from imr_torch.observe import (
     Noise,
     Prepared,
     TraceSet,
+    noise_sentences,
 )
 from imr_torch.observe.convert import FrameUse
 from imr_torch.population import Population
@@ -186,6 +187,11 @@ class Characterization:
             },
             "noise": vars(self.noise),
             "noise_interval": self.noise_interval,
+            "noise_sentences": noise_sentences(
+                self.noise,
+                self.noise_interval,
+                [marks.max_radius_m for marks in self.prepared.landmarks.values()],
+            ),
             "noise_factors": {
                 e.label: e.noise_factor for e in self.experiments if e.noise_factor != 1.0
             },

@@ -112,7 +112,7 @@ def _list_parameters(part: ModelBelief, controls: Tensor) -> dict[str, Variable]
     """Free parameters in SI at ``n x d`` controls ``z``."""
     values = part.physical(controls)
     return {
-        name: _make_variable(
+        PARAMETERS[name].export_name: _make_variable(
             "chain draw",
             values[None, :, i],
             PARAMETERS[name].unit,

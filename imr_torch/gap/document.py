@@ -110,7 +110,7 @@ def to_json(
         "examined": parts.onset is not None,
         "phase_residual": {"phases": PHASES, "rows": _phase_residual(report.null, report.batch)},
         "curves": _curves(report, simulator),
-        **_noise(report),
+        **_noise(report, simulator),
         "certificates": {
             name: vars(fit.certificate) | {"text": str(fit.certificate)}
             for name, fit in leading.items()
@@ -287,15 +287,17 @@ def _curves(report: GapReport, simulator: Simulator | None) -> list[Document]:
     return rows
 
 
-def _noise(report: GapReport) -> Document:
+def _noise(report: GapReport, simulator: Simulator | None) -> Document:
     """The noise law, what is known of it, and what was left out."""
     batch = report.batch
     interval = batch.noise_interval(report.null.prediction)
+    outer = simulator.conditions.surroundings if simulator else None
+    sizes = [outer.max_radius(e.design[0]) for e in batch.experiments] if outer else []
     return {
         "noise": vars(batch.noise),
         "noise_text": str(batch.noise),
         "noise_inferred": batch.noise_laws is not None,
-        "noise_sentences": noise_sentences(batch.noise, interval),
+        "noise_sentences": noise_sentences(batch.noise, interval, sizes),
         "noise_interval": interval,
         "noise_factors": {e.label: e.noise_factor for e in batch.curves},
         "frames_left_out": dict(report.spoilt),
@@ -400,7 +402,7 @@ def describe(document: Document) -> str:
 
 def sections(document: Document) -> list[Section]:
     """The diagnosis as sections, in the order of the questions."""
-    folded = ["The record before any gel", "The medium"]
+    folded = ["What the records show without a model", "The medium"]
     folded += ["Have the fits converged?"] * document["converged"]
     found = []
     for block in describe(document).split("\n\n")[:-1]:

@@ -212,7 +212,9 @@ class NoiseLaws:
         return self.log_scale_sd * torch.special.ndtri((arange(count) + 0.5) / count)
 
 
-def noise_sentences(noise: Noise, interval: Sequence[float] | None) -> list[str]:
+def noise_sentences(
+    noise: Noise, interval: Sequence[float] | None, max_radii: Sequence[float] = ()
+) -> list[str]:
     """How large the inferred noise of a frame is, and how much wider intervals are for what
     residuals have in common.
 
@@ -220,11 +222,15 @@ def noise_sentences(noise: Noise, interval: Sequence[float] | None) -> list[str]
         noise: the law of the fit.
         interval: 5, 50 and 95 % quantiles of the noise of the median frame, R*; None where it was
             not inferred.
+        max_radii: maximum radii of the curves, m; empty where they are not known.
 
     >>> from imr_torch.observe import Noise, noise_sentences
-    >>> noise_sentences(Noise(scale=3.0, widened=1.5), [0.004, 0.005, 0.006])[1]
-    'Residuals have more in common than such noise; intervals are 1.50 times as wide for it.'
+    >>> for line in noise_sentences(Noise(scale=3.0, widened=1.5), [0.004, 0.005, 0.006], [2e-4]):
+    ...     print(line)
+    Radius error of one frame: about 1 um, which is 0.005 of Rmax (90 %: 0.004 to 0.006).
+    The model misses the curves by more than that, so error bars were widened 1.5 times.
     """
     if interval is None:
         return []
-    return render("noise_sentences.txt", noise=noise, interval=interval, wide=WIDE).splitlines()
+    names = {"noise": noise, "interval": interval, "max_radii": max_radii, "wide": WIDE}
+    return render("noise_sentences.txt", **names).splitlines()

@@ -15,7 +15,7 @@ from imr_torch.gap.document import list_names
 from imr_torch.html import render
 from imr_torch.labels import model_probability
 from imr_torch.material import material
-from imr_torch.observe import Noise, noise_sentences
+from imr_torch.observe import Noise
 from imr_torch.population import BayesFactor
 from imr_torch.results.figures import draw_figures, kind_of
 from imr_torch.results.intervals import is_usable, parameters_of
@@ -130,7 +130,6 @@ def _list_names(document: Document) -> Document:
         "best": max(chances, key=chances.__getitem__) if chances else "",
         "unit": "R*" if document.get("curves") or document.get("experiments") else "t*",
         "noise": Noise(**document["noise"]) if document.get("noise") else None,
-        "noise_sentences": noise_sentences,
         "material": material,
         "model_probability": model_probability,
         "Bound": Bound,

@@ -7,7 +7,7 @@ from imr_torch.assimilate import SearchOptions, assimilate, weigh
 from imr_torch.errors import InputDataError
 from imr_torch.export import to_arviz
 from imr_torch.material import reference_case
-from imr_torch.observe import ExperimentBatch, Nuisance
+from imr_torch.observe import ExperimentBatch, GelMedium, Nuisance
 from tests.linear import LinearSimulator, exact, experiments, prior, tensor
 
 pytest.importorskip("arviz_base", reason="needs the extra arviz")
@@ -135,6 +135,8 @@ def test_that_a_belief_gives_its_draws_and_probabilities():
     assert set(tree.children) == {"nhkv", "gen_qkv", "models"}
     assert float(tree["gen_qkv/posterior"]["G"].mean()) == pytest.approx(2770.0, rel=0.02)
     assert np.exp(tree["models"]["log_probability"].values).tolist() == pytest.approx([0.5, 0.5])
+    density = to_arviz(GelMedium().loosened.believed(case.prior), seed=0, draws=2)
+    assert "ln_density_ratio" in density["nhkv+density/posterior"]
 
 
 def test_that_a_file_holds_the_tree(weighted, tmp_path):

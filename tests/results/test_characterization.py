@@ -189,7 +189,7 @@ def test_that_the_figure_marks_unused_frames_and_has_second_axes(document):
 
 def test_that_a_page_escapes_what_it_is_given_and_loads_nothing(document):
     text = document_page(document, title="A < B", report="5 < 6")
-    assert "The record before any gel" in text
+    assert "What the records show without a model" in text
     assert "<script" not in text
     assert "&lt;script&gt;" in text
     assert "<h1>A &lt; B</h1>" in text
