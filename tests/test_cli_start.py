@@ -65,7 +65,10 @@ def test_that_a_checkout_that_is_not_installed_says_so_before_any_work(monkeypat
     build_parser.cache_clear()
     monkeypatch.setattr("imr_torch.cli.version", lambda name: version(f"{name}-absent"))
     assert main(["design"]) == 2
-    assert capsys.readouterr().err == "imr-torch: imr-torch-absent is not installed: run pip install . in its folder.\n"
+    assert (
+        capsys.readouterr().err
+        == "imr-torch: imr-torch-absent is not installed: run pip install . in its folder.\n"
+    )
 
 
 @pytest.mark.parametrize(
