@@ -217,7 +217,7 @@ def find_frame_use(
             return "before the maximum radius"
         if times[frame] > last:
             return f"after collapse {collapses}, where the fitted window ends"
-        return "left out of the fitted window"
+        return "far off their neighbours"
 
     unused = []
     for why, group in groupby(range(len(fitted)), reason):

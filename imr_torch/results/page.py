@@ -156,5 +156,8 @@ def _draw_pictures(figures: Iterable[NamedFigure]) -> dict[str, list[Any]]:
 
 
 def _name_files(document: Document) -> str:
-    names = [entry["name"] for entry in document.get("files", ())]
-    return ", ".join(name for name in names if not name.endswith(".json"))
+    """The files whose curves were fitted; all tables where the result does not say it."""
+    names = [x["name"] for x in document.get("files", ()) if not x["name"].endswith(".json")]
+    fitted = {curve.get("source") for curve in document.get("curves", ())}
+    chosen = [] if document.get("collapse_times") else [name for name in names if name in fitted]
+    return ", ".join(chosen or names)

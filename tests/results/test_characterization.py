@@ -204,6 +204,11 @@ def test_that_a_page_escapes_what_it_is_given_and_loads_nothing(document):
     assert "What to do next" in text
 
 
+def test_that_the_title_names_files_of_which_curves_were_fitted(document):
+    files = [{"name": name, "bytes": 1, "sha256": ""} for name in ("other.csv", "gel.csv")]
+    assert "<h1>Gel in gel.csv</h1>" in document_page(document | {"files": files})
+
+
 def test_that_the_shape_of_a_bubble_is_drawn_where_two_axes_were_seen(document):
     curve = document["curves"][0]
     frames = len(curve["measured"]["t_star"])

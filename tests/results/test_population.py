@@ -99,7 +99,7 @@ def test_that_the_command_writes_report_json_figure_and_page(
     assert [shot["id"] for shot in found["shots"]] == ["a", "b", "c"]
     low, _, high = found["parameters"]["G"]["median"]
     assert low < 8310.0 < high
-    assert "Scatter of any parameter against none" in (out / "report.txt").read_text()
+    assert "Log evidence that a parameter scatters, over none" in (out / "report.txt").read_text()
     assert (out / "population.png").stat().st_size > 5000
     assert "population" in [figure.name for figure in draw_figures(document)]
     assert "Does the gel differ from shot to shot?" in page.read_text()
