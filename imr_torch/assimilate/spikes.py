@@ -118,7 +118,9 @@ def spoilt_sentence(frames: Mapping[str, Sequence[int]]) -> str:
     'Frames far off their neighbours were left out: 12, 40 of shot 1 (0 is the first that is fitted).'
     """
     parts = "; ".join(f"{', '.join(map(str, x))} of {label}" for label, x in frames.items())
-    return f"Frames far off their neighbours were left out: {parts} (0 is the first that is fitted)."
+    return (
+        f"Frames far off their neighbours were left out: {parts} (0 is the first that is fitted)."
+    )
 
 
 def _running_median(values: Tensor, around: int) -> Tensor:
