@@ -31,7 +31,6 @@ from imr_torch.observe import (
     Noise,
     Prepared,
     TraceSet,
-    noise_sentences,
 )
 from imr_torch.observe.convert import FrameUse
 from imr_torch.population import Population
@@ -170,6 +169,7 @@ class Characterization:
                     "id": e.label,
                     "We": e.design[0],
                     "R_inf*": e.design[1],
+                    "Rmax_m": self.medium.surroundings.max_radius(e.design[0]),
                     "exposure_t_star": e.exposure,
                 }
                 for e in self.experiments
@@ -187,11 +187,6 @@ class Characterization:
             },
             "noise": vars(self.noise),
             "noise_interval": self.noise_interval,
-            "noise_sentences": noise_sentences(
-                self.noise,
-                self.noise_interval,
-                [marks.max_radius_m for marks in self.prepared.landmarks.values()],
-            ),
             "noise_factors": {
                 e.label: e.noise_factor for e in self.experiments if e.noise_factor != 1.0
             },

@@ -17,7 +17,6 @@ import torch
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.assimilate.dense import dense_curve
-from imr_torch.assimilate.spikes import spoilt_sentence
 from imr_torch.design import NextDesign
 from imr_torch.files import Document, drawn_numbers
 from imr_torch.float64 import zeros
@@ -33,7 +32,7 @@ from imr_torch.html import render
 from imr_torch.labels import p_value
 from imr_torch.material import LIBRARY, PARAMETERS
 from imr_torch.material.model_belief import intervals
-from imr_torch.observe import ExperimentBatch, noise_sentences
+from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
 from imr_torch.unknown import Unknown
 
@@ -110,7 +109,7 @@ def to_json(
         "examined": parts.onset is not None,
         "phase_residual": {"phases": PHASES, "rows": _phase_residual(report.null, report.batch)},
         "curves": _curves(report, simulator),
-        **_noise(report, simulator),
+        **_noise(report),
         "certificates": {
             name: vars(fit.certificate) | {"text": str(fit.certificate)}
             for name, fit in leading.items()
@@ -267,12 +266,14 @@ def _curves(report: GapReport, simulator: Simulator | None) -> list[Document]:
     rows = []
     for e, experiment in enumerate(batch.experiments):
         seen = batch.mask[e]
+        size = outer and outer.max_radius(experiment.design[0])
         rows.append(
             {
                 "id": experiment.label,
                 "We": experiment.design[0],
                 "R_inf*": experiment.design[1],
-                "time_scale_s": outer and outer.time_scale(outer.max_radius(experiment.design[0])),
+                "Rmax_m": size,
+                "time_scale_s": outer and outer.time_scale(size),
                 "t_star": batch.times[e][seen].tolist(),
                 "R_star": batch.mean[e][seen].tolist(),
                 "sd": noise[e][seen].tolist(),
@@ -287,18 +288,14 @@ def _curves(report: GapReport, simulator: Simulator | None) -> list[Document]:
     return rows
 
 
-def _noise(report: GapReport, simulator: Simulator | None) -> Document:
+def _noise(report: GapReport) -> Document:
     """The noise law, what is known of it, and what was left out."""
     batch = report.batch
-    interval = batch.noise_interval(report.null.prediction)
-    outer = simulator.conditions.surroundings if simulator else None
-    sizes = [outer.max_radius(e.design[0]) for e in batch.experiments] if outer else []
     return {
         "noise": vars(batch.noise),
         "noise_text": str(batch.noise),
         "noise_inferred": batch.noise_laws is not None,
-        "noise_sentences": noise_sentences(batch.noise, interval, sizes),
-        "noise_interval": interval,
+        "noise_interval": batch.noise_interval(report.null.prediction),
         "noise_factors": {e.label: e.noise_factor for e in batch.curves},
         "frames_left_out": dict(report.spoilt),
     }
@@ -369,7 +366,6 @@ def list_names() -> Document:
         "effects": LIBRARY,
         "sections": sections,
         "p_value": p_value,
-        "spoilt_sentence": spoilt_sentence,
         "adequate": ADEQUATE,
         "explains": EXPLAINS,
         "member": MEMBER,

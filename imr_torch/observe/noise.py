@@ -8,7 +8,6 @@ averaged.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -210,27 +209,3 @@ class NoiseLaws:
         its central law.
         """
         return self.log_scale_sd * torch.special.ndtri((arange(count) + 0.5) / count)
-
-
-def noise_sentences(
-    noise: Noise, interval: Sequence[float] | None, max_radii: Sequence[float] = ()
-) -> list[str]:
-    """How large the inferred noise of a frame is, and how much wider intervals are for what
-    residuals have in common.
-
-    Args:
-        noise: the law of the fit.
-        interval: 5, 50 and 95 % quantiles of the noise of the median frame, R*; None where it was
-            not inferred.
-        max_radii: maximum radii of the curves, m; empty where they are not known.
-
-    >>> from imr_torch.observe import Noise, noise_sentences
-    >>> for line in noise_sentences(Noise(scale=3.0, widened=1.5), [0.004, 0.005, 0.006], [2e-4]):
-    ...     print(line)
-    Radius error of one frame: about 1 um, which is 0.005 of Rmax (90 %: 0.004 to 0.006).
-    The model misses the curves by more than that, so error bars were widened 1.5 times.
-    """
-    if interval is None:
-        return []
-    names = {"noise": noise, "interval": interval, "max_radii": max_radii, "wide": WIDE}
-    return render("noise_sentences.txt", **names).splitlines()

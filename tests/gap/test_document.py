@@ -234,12 +234,13 @@ def contradictions(document: dict) -> list[str]:
     if shrunk is not None:
         later = shrunk["later"] or [1.0]
         found["a forecast reaches zero in silence"] = (later[0] < 0.0 < later[-1]) != (
-            "not told from no change" in text
+            "which may as well be no change" in text
         )
-        closes = [line for line in text.splitlines() if "goes with what was selected" in line]
+        closes = [line for line in text.splitlines() if "what was selected from the other curves" in line]
         found["no gap is left, and some is closed"] = (shrunk["share"] is None) == bool(closes)
         found["shrinkage is another in words"] = any(
-            f"the gap is {shrunk['word']}: {shrunk['share'][1]:.2f}" not in line
+            f"the gap is {shrunk['word']}: what" not in line
+            or f"removes {shrunk['share'][1]:.2f} (" not in line
             or not all(titles[part] in line for parts in shrunk["selected"] for part in parts)
             for line in closes
         )
