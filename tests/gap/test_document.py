@@ -293,7 +293,7 @@ def test_that_a_named_cause_closes_the_gap_and_one_shot_says_why_nothing_is_judg
     assert named["share"][0] > named["placebo_95"]
     assert named["selected"] == [["sound_speed"]] * 3
     assert (
-        "goes with what was selected from the other curves (the speed of sound differs (sound_speed))"
+        "what was selected from the other curves (the speed of sound differs (sound_speed)) removes"
         in describe(documents["named"])
     )
     assert documents["one shot"]["shrinkage"] is None

@@ -93,6 +93,8 @@ def test_that_text_and_page_say_that_the_model_misses_the_curves(kind, tmp_path)
     assert "does not explain" in report
     assert ("lacks first (imr-torch diagnose" in report) is (kind == "campaign")
     page = document_page(document)
+    for text in (report, page):
+        assert ("Quote nothing of these curves" in text) is (kind in ("campaign", "characterize"))
     assert "does not explain" in page.partition("<details>")[0]
     assert 'class="verdict warning"' in page
 
