@@ -236,7 +236,9 @@ def contradictions(document: dict) -> list[str]:
         found["a forecast reaches zero in silence"] = (later[0] < 0.0 < later[-1]) != (
             "which may as well be no change" in text
         )
-        closes = [line for line in text.splitlines() if "what was selected from the other curves" in line]
+        closes = [
+            line for line in text.splitlines() if "what was selected from the other curves" in line
+        ]
         found["no gap is left, and some is closed"] = (shrunk["share"] is None) == bool(closes)
         found["shrinkage is another in words"] = any(
             f"the gap is {shrunk['word']}: what" not in line
