@@ -13,10 +13,8 @@ from imr_torch.errors import InputDataError, in_one_line
 from imr_torch.files import Document, write_bytes
 from imr_torch.gap.document import list_names
 from imr_torch.html import render
-from imr_torch.labels import model_probability
 from imr_torch.material import material
 from imr_torch.observe import Noise
-from imr_torch.population import BayesFactor
 from imr_torch.results.figures import draw_figures, kind_of
 from imr_torch.results.intervals import is_usable, parameters_of
 from imr_torch.select import Bound
@@ -131,9 +129,7 @@ def _list_names(document: Document) -> Document:
         "unit": "R*" if document.get("curves") or document.get("experiments") else "t*",
         "noise": Noise(**document["noise"]) if document.get("noise") else None,
         "material": material,
-        "model_probability": model_probability,
         "Bound": Bound,
-        "BayesFactor": BayesFactor,
         "Noise": Noise,
         "usable": is_usable,
         "document_parameters": parameters_of(document.get("shots", ())),

@@ -12,7 +12,6 @@ from imr_torch.errors import InputDataError
 from imr_torch.html import _make_environment
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Noise
-from imr_torch.population import BayesFactor
 from imr_torch.results import draw_figures
 from imr_torch.results.intervals import population_figure
 from tests.results.documents import SIMULATOR, traces
@@ -54,7 +53,7 @@ def test_that_every_shot_is_drawn_twice_beside_the_median():
 
 
 def page_part(found: dict) -> str:
-    names = {"parameters": PARAMETERS, "BayesFactor": BayesFactor, "Noise": Noise}
+    names = {"parameters": PARAMETERS, "Noise": Noise}
     module = _make_environment().get_template("population.html").make_module(names)
     return str(module.population_part(found))
 
