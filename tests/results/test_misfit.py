@@ -105,7 +105,8 @@ def missed():
 
 
 def test_that_every_figure_of_a_misfit_says_so(missed):
-    for document, said in ((missed, True), (missed | {"fit_test": None}, False)):
+    two = header("compare") | compare_document(Path())
+    for document, said in ((missed, True), (missed | {"fit_test": None}, False), (two, True)):
         for item in draw_figures(document):
             figure = item.draw()
             fitted = item.name != "record"
