@@ -273,7 +273,7 @@ def _curves(report: GapReport, simulator: Simulator | None) -> list[Document]:
                 "We": experiment.design[0],
                 "R_inf*": experiment.design[1],
                 "Rmax_m": size,
-                "time_scale_s": outer and outer.time_scale(size),
+                "time_scale_s": outer and size and outer.time_scale(size),
                 "t_star": batch.times[e][seen].tolist(),
                 "R_star": batch.mean[e][seen].tolist(),
                 "sd": noise[e][seen].tolist(),
