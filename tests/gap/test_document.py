@@ -215,7 +215,7 @@ def contradictions(document: dict) -> list[str]:
         "a gap without a cause is said too surely": verdict == "other"
         and re.search(r" becomes | is \S+ (kPa|Pa s) \(", text) is not None,
         "a cause is certain": named and "most probable cause" not in head,
-        "an interval outside the other is not explained": ("need not hold the first" in text)
+        "an interval outside the other is not explained": ("need not contain the first" in text)
         != any(
             low < document["parameters_with_model_error"][name][0]
             or high > document["parameters_with_model_error"][name][2]
