@@ -7,7 +7,6 @@ functions before it is drawn or names a file.
 
 import hashlib
 
-_OPEN = 0.1  # error of a probability from which on it may be undecided
 _LONGEST = 48  # characters of a label in a figure or a file name
 T_STAR = r"$t^* = t\,U_\mathrm{c}/R_\mathrm{max}$"
 R_STAR = r"$R^* = R/R_\mathrm{max}$"
@@ -28,22 +27,6 @@ def plain(label: str, longest: int = _LONGEST) -> str:
         kept = longest - 1
         text = f"{text[: (kept + 1) // 2]}…{text[len(text) - kept // 2 :]}"
     return text.replace("$", r"\$")
-
-
-def model_probability(value: float, error: float) -> str:
-    """The probability of a model with the error of its computation; undecided where that leaves it
-    open.
-
-    >>> from imr_torch.labels import model_probability
-    >>> model_probability(0.964, 0.027), model_probability(0.888, 0.838)[:22]
-    ('probability 0.964 +- 0.027', 'probability undecided ')
-    """
-    if error > _OPEN and error >= min(value, 1.0 - value):
-        return (
-            f"probability undecided ({value:.2f} by too few draws, error {error:.2f}; "
-            "effort='thorough' draws more)"
-        )
-    return f"probability {value:.3f} +- {error:.3f}"
 
 
 def file_name(label: str) -> str:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.bad_inputs.trial import Reached, without_fits
 from imr_torch import characterize, example_gel, wide_prior
 from imr_torch.cli import main
 from imr_torch.errors import InputDataError
@@ -73,6 +74,29 @@ def test_that_a_known_parameter_is_not_inferred():
     )  # of qKV alone, which takes it as measured
     assert both["nhkv"].names == ("G", "mu")
     assert both["qkv"].known == {"G": 2770.0}
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [lambda time, radius: (time, 1e6 * radius), lambda time, radius: (1e3 * time, radius)],
+    ids=["when it is read", "when it is prepared"],
+)
+def test_that_one_curve_that_cannot_be_used_is_left_out_as_the_message_says(
+    spoil, tmp_path, capsys
+):
+    header, *rows = EXAMPLE.read_text().splitlines()
+    first = [row.split(",")[1:] for row in rows if row.startswith("shot_1,")]
+    spoilt = (spoil(float(time), float(radius)) for time, radius in first)
+    rows += [f"bad,{time!r},{radius!r}" for time, radius in spoilt]
+    path = tmp_path / "gel.csv"
+    path.write_text("\n".join([header, *rows]))
+    line = [*f"characterize {path} --models nhkv --medium density=1060".split(), *QUICK]
+    assert main(line) == 2
+    said = capsys.readouterr().err
+    assert "One of several curves can be left out: --exclude bad" in said
+    with without_fits(), pytest.raises(Reached):
+        main([*line, *said.split()[-2:]])
+    assert "bad" not in capsys.readouterr().out.partition("Curves as they are fitted")[2]
 
 
 def test_that_a_fit_keeps_what_is_known_and_takes_the_experiments_that_are_named(tmp_path):

@@ -5,6 +5,7 @@ start.
 import json
 import subprocess
 import sys
+from importlib.metadata import version
 from inspect import signature
 from typing import get_args
 
@@ -58,6 +59,16 @@ def test_that_the_version_is_that_of_the_package(capsys):
     with pytest.raises(SystemExit):
         main(["--version"])
     assert capsys.readouterr().out == f"imr-torch {imr_torch.__version__}\n"
+
+
+def test_that_a_checkout_that_is_not_installed_says_so_before_any_work(monkeypatch, capsys):
+    build_parser.cache_clear()
+    monkeypatch.setattr("imr_torch.cli.version", lambda name: version(f"{name}-absent"))
+    assert main(["design"]) == 2
+    assert (
+        capsys.readouterr().err
+        == "imr-torch: imr-torch-absent is not installed: run pip install . in its folder.\n"
+    )
 
 
 @pytest.mark.parametrize(

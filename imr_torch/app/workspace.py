@@ -193,8 +193,12 @@ class Workspace:
         ]
 
     def list_files(self) -> list[FileState]:
-        """The files of curves and collapse times, each with whether it can be used."""
-        return [self._file_state(path) for path in self._paths]
+        """The files, each with whether it can be used, those of curves and collapse times first."""
+        stems = {path.stem for path in self._paths}
+        lone = (path for path in self.files_folder.glob("*.json") if path.stem not in stems)
+        why = "says what a table of the same name is about, and there is none: drop that one too"
+        unused = [FileState(path.name, problem=why) for path in sorted(lone)]
+        return [self._file_state(path) for path in self._paths] + unused
 
     def _file_state(self, path: Path) -> FileState:
         try:

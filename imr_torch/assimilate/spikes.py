@@ -6,7 +6,7 @@ smooth curve does between frames.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
@@ -108,17 +108,6 @@ def frames_left_out(
         for old, new in zip(before, after, strict=True)
     }
     return {label: frames for label, frames in lost.items() if frames}
-
-
-def spoilt_sentence(frames: Mapping[str, Sequence[int]]) -> str:
-    """Which frames were left out (:func:`frames_left_out`), in a sentence.
-
-    >>> from imr_torch.assimilate.spikes import spoilt_sentence
-    >>> spoilt_sentence({"shot 1": [12, 40]})
-    'Frames that stand alone, far off their neighbours, were left out: 12, 40 of shot 1.'
-    """
-    parts = "; ".join(f"{', '.join(map(str, x))} of {label}" for label, x in frames.items())
-    return f"Frames that stand alone, far off their neighbours, were left out: {parts}."
 
 
 def _running_median(values: Tensor, around: int) -> Tensor:

@@ -62,6 +62,7 @@ _COLUMNS = (
     "R_inf*",
     "model",
     "probability",
+    "probability_error",
     *(column for name in PARAMETERS.names for column in (f"{name}_low", name, f"{name}_high")),
     "rmse",
     "verdict",
@@ -141,7 +142,7 @@ class BatchSummary:
     Args:
         rows: ``shot``, ``status`` (done, not converged, failed), ``explained`` (whether the most
             probable model explains the curves: yes, no, not tested), ``file``, ``curves``, ``frames``,
-            ``We``, ``R_inf*``, ``model`` and its ``probability``, ``<parameter>_low``,
+            ``We``, ``R_inf*``, ``model``, its ``probability`` and error, ``<parameter>_low``,
             ``<parameter>`` and ``<parameter>_high`` (5, 50, 95 % quantile of the most probable
             model, SI), ``rmse``, ``verdict``, ``cpu_seconds``, ``error``.
 
@@ -416,6 +417,7 @@ def _make_row(shot: Shot, document: Document) -> Document:
         "R_inf*": sum(e["R_inf*"] for e in experiments) / len(experiments),
         "model": saved.best,
         "probability": saved.probabilities[saved.best],
+        "probability_error": document.get("model_probability_errors", {}).get(saved.best, 0.0),
         "rmse": entry.get("rmse"),
         "verdict": saved.verdict(),
         "explained": {True: "yes", False: "no", None: "not tested"}[saved.explained],

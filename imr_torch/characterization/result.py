@@ -169,6 +169,7 @@ class Characterization:
                     "id": e.label,
                     "We": e.design[0],
                     "R_inf*": e.design[1],
+                    "Rmax_m": self.medium.surroundings.max_radius(e.design[0]),
                     "exposure_t_star": e.exposure,
                 }
                 for e in self.experiments

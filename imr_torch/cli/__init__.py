@@ -15,7 +15,7 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -96,6 +96,8 @@ def main(argv: Sequence[str] | None = None, *, events: bool = False) -> int:
             )  # of a search's surrogate
             _run_named(args)
         sys.stdout.flush()
+    except PackageNotFoundError as error:
+        return _report_end(f"{error.name} is not installed: run pip install . in its folder.", 2)
     except ConvergenceError as error:
         return _report_end(f"not converged: {error}", 1)
     except ImrError as error:

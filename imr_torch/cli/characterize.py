@@ -1,5 +1,6 @@
 """Runs ``imr-torch characterize``."""
 
+import re
 import shlex
 from argparse import Namespace
 from pathlib import Path
@@ -34,7 +35,16 @@ from imr_torch.results import document_report
 
 
 def run_command(args: Namespace) -> None:
-    """Load, infer, report."""
+    """Load, infer, report; of a curve that cannot be used it is said how to leave it out."""
+    try:
+        _characterize(args)
+    except InputDataError as error:
+        bad = re.search(r"experiment '([^',]+)'", str(error))
+        more = f" One of several curves can be left out: --exclude {bad[1]}" if bad else ""
+        raise InputDataError(f"{error}{more}") from None
+
+
+def _characterize(args: Namespace) -> None:
     traces, shots = _load_data(args)
     read = [traces.report()] if len(traces) else []
     if shots:
@@ -105,7 +115,8 @@ def _load_data(args: Namespace) -> tuple[TraceSet, tuple[CollapseShot, ...]]:
     if shots:
         refuse_options(args, ["population"], f"{why}; leave one of them out.")
     if curves:
-        traces = load_traces(*curves, layout=args.layout, sort=args.sort)
+        exclude = args.exclude or ()
+        traces = load_traces(*curves, layout=args.layout, sort=args.sort, exclude=exclude)
     else:
         about_curves = ("layout", "rest_radius", "collapses", "growth", "count_all_shots")
         refuse_options(args, about_curves, f"{why} alone; leave it out.")
@@ -121,7 +132,8 @@ def _load_data(args: Namespace) -> tuple[TraceSet, tuple[CollapseShot, ...]]:
     known = [shot.experiment_id for shot in shots]
     wanted = args.experiments or [*traces.ids, *known]
     if args.exclude:
-        traces.select([name for name in args.exclude if name not in known])  # which must be there
+        gone = [*known, *(x.experiment_id for x in traces.left_out)]
+        traces.select([name for name in args.exclude if name not in gone])  # which must be there
         wanted = [name for name in wanted if name not in args.exclude]
         args.given["experiments"] = ",".join(wanted)  # what a diagnosis is to take
     of_curves = [name for name in wanted if name not in known]

@@ -39,8 +39,8 @@ def space_of(args: Namespace) -> DesignSpace:
     try:
         return DesignSpace(args.we_range, args.rinf_range)
     except InputDataError as error:
-        given = f"--we-range {args.given['we_range']} --rinf-range {args.given['rinf_range']}"
-        raise InputDataError(f"{given}: {error}") from None
+        said = str(error).replace("DesignSpace.weber", "--we-range")
+        raise InputDataError(said.replace("DesignSpace.rest_radius", "--rinf-range")) from None
 
 
 def plan_of(args: Namespace) -> Plan:

@@ -82,8 +82,8 @@ def to_arviz(assimilation: Assimilation, *, seed: int, draws: int = 1000) -> "Da
         groups = _draw_groups(fit, draws, child(seed, "arviz", fit.model)) | data
         values = {name: {k: x.numpy() for k, x in group.items()} for name, group in groups.items()}
         branch = from_dict(values, coords=labels, dims=DIMENSIONS)
-        for name in fit.prior.names:
-            branch["posterior"][name].attrs["units"] = PARAMETERS[name].unit
+        for entry in map(PARAMETERS.__getitem__, fit.prior.names):
+            branch["posterior"][entry.export_name].attrs["units"] = entry.unit
         branches[fit.model] = branch
     return DataTree(children=branches, name="imr_torch")
 
@@ -108,4 +108,5 @@ def _draw_groups(fit: ModelFit, draws: int, seed: int) -> dict[str, dict[str, Te
 def _name_parameters(fit: ModelFit, controls: Tensor) -> dict[str, Tensor]:
     """Free parameters in SI at ``n x d`` whitened controls, ``1 x n`` each."""
     values = fit.prior.physical(fit.prior.unwhitened(controls))[None]
-    return dict(zip(fit.prior.names, values.unbind(2), strict=True))
+    names = (PARAMETERS[name].export_name for name in fit.prior.names)
+    return dict(zip(names, values.unbind(2), strict=True))

@@ -17,7 +17,6 @@ import torch
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.assimilate.dense import dense_curve
-from imr_torch.assimilate.spikes import spoilt_sentence
 from imr_torch.design import NextDesign
 from imr_torch.files import Document, drawn_numbers
 from imr_torch.float64 import zeros
@@ -33,7 +32,7 @@ from imr_torch.html import render
 from imr_torch.labels import p_value
 from imr_torch.material import LIBRARY, PARAMETERS
 from imr_torch.material.model_belief import intervals
-from imr_torch.observe import ExperimentBatch, noise_sentences
+from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
 from imr_torch.unknown import Unknown
 
@@ -267,12 +266,14 @@ def _curves(report: GapReport, simulator: Simulator | None) -> list[Document]:
     rows = []
     for e, experiment in enumerate(batch.experiments):
         seen = batch.mask[e]
+        size = outer and outer.max_radius(experiment.design[0])
         rows.append(
             {
                 "id": experiment.label,
                 "We": experiment.design[0],
                 "R_inf*": experiment.design[1],
-                "time_scale_s": outer and outer.time_scale(outer.max_radius(experiment.design[0])),
+                "Rmax_m": size,
+                "time_scale_s": outer and size and outer.time_scale(size),
                 "t_star": batch.times[e][seen].tolist(),
                 "R_star": batch.mean[e][seen].tolist(),
                 "sd": noise[e][seen].tolist(),
@@ -290,13 +291,11 @@ def _curves(report: GapReport, simulator: Simulator | None) -> list[Document]:
 def _noise(report: GapReport) -> Document:
     """The noise law, what is known of it, and what was left out."""
     batch = report.batch
-    interval = batch.noise_interval(report.null.prediction)
     return {
         "noise": vars(batch.noise),
         "noise_text": str(batch.noise),
         "noise_inferred": batch.noise_laws is not None,
-        "noise_sentences": noise_sentences(batch.noise, interval),
-        "noise_interval": interval,
+        "noise_interval": batch.noise_interval(report.null.prediction),
         "noise_factors": {e.label: e.noise_factor for e in batch.curves},
         "frames_left_out": dict(report.spoilt),
     }
@@ -367,7 +366,6 @@ def list_names() -> Document:
         "effects": LIBRARY,
         "sections": sections,
         "p_value": p_value,
-        "spoilt_sentence": spoilt_sentence,
         "adequate": ADEQUATE,
         "explains": EXPLAINS,
         "member": MEMBER,
@@ -400,7 +398,7 @@ def describe(document: Document) -> str:
 
 def sections(document: Document) -> list[Section]:
     """The diagnosis as sections, in the order of the questions."""
-    folded = ["The record before any gel", "The medium"]
+    folded = ["What the records show without a model", "The medium"]
     folded += ["Have the fits converged?"] * document["converged"]
     found = []
     for block in describe(document).split("\n\n")[:-1]:

@@ -280,7 +280,7 @@ def plot_intervals(document: Document) -> Axes:
     ax = new_axes((5.2, 1.1 + 0.5 * len(right)))
     places = np.arange(len(right) - 1, -1, -1)
     rows = (
-        (right, SECOND, 0.12, "if the model is right"),
+        (right, SECOND, 0.12, "by the model alone"),
         (wide, MODEL, -0.12, "with what it may lack"),
     )
     for values, color, offset, label in rows:

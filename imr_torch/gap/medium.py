@@ -16,6 +16,7 @@ from torch import Tensor
 from imr_torch.assimilate import ModelFit
 from imr_torch.files import Document
 from imr_torch.goodness.linear import linearise_fit
+from imr_torch.html import render
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import ExperimentBatch, GelMedium, predict
 from imr_torch.observe.medium import label
@@ -66,16 +67,7 @@ class MediumSensitivity:
 
     def sentence(self) -> str:
         """In words."""
-        changes = ", ".join(
-            f"{name} by {100.0 * self.relative[name]:+.2g} % ({sigma:+.1f} sd)"
-            if abs(self.relative[name]) < _NO_SCALE
-            else f"{name} by {sigma:+.1f} sd"
-            for name, sigma in self.sigmas.items()
-        )
-        return (
-            f"{label(self.name)} was assumed {self.assumed}; {100.0 * (self.factor - 1.0):.2g} % "
-            f"more would change {changes}."
-        )
+        return render("sensitivity.txt", found=self, label=label(self.name), no_scale=_NO_SCALE)
 
     def to_dict(self) -> Document:
         """JSON-ready values."""

@@ -19,6 +19,7 @@ from imr_torch.assimilate.noise_estimation import determines_noise
 from imr_torch.goodness.linear import Linearisation, linearise_fit, whiten_rows
 from imr_torch.goodness.phases import phase_clock, phase_name
 from imr_torch.goodness.score import LEVEL, gap_test, generic_blocks
+from imr_torch.html import render
 from imr_torch.labels import p_value
 from imr_torch.material import material
 from imr_torch.observe import ExperimentBatch, Noise
@@ -72,20 +73,8 @@ class FitTest:
 
     def sentence(self, command: str = "imr-torch diagnose") -> str:
         """The result in one sentence; ``command`` is what to try after a misfit."""
-        if self.p_value is None:
-            return f"Not tested whether the model explains the curves: {self.reason}"
-        tested = f"{p_value(self.p_value)}, {material(self.model).title}"
-        if self.explained:
-            return f"Fit: the model explains the curves within their noise ({tested})."
-        where = (
-            f"strongest test: {self.block}; largest residual {self.sigma:+.1f} sd in "
-            f"{self.experiment}, {self.phase}, "
-            f"t* = {self.time:.2f}"
-        )
-        return (
-            f"Misfit: the model does not explain the curves ({tested}; {where}); do not quote its "
-            f"intervals before you have tried: {command}"
-        )
+        names = {"p_value": p_value, "title": material(self.model).title, "command": command}
+        return render("fit_test.txt", test=self, **names).strip()
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready values."""

@@ -108,7 +108,7 @@ class Parameter:
         """
         if self.dimension == "ratio":
             low, middle, high = map(math.exp, (low, middle, high))
-            return f"{middle:.4g} times the stated one (90 %: {low:.4g} to {high:.4g})"
+            return f"{middle:.4g} times that of the medium (90 %: {low:.4g} to {high:.4g})"
         low, middle, high = (self.display_scale * x for x in (low, middle, high))
         return f"{middle:.4g} {self.shown_unit}".rstrip() + f" (90 %: {low:.4g} to {high:.4g})"
 

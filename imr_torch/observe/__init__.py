@@ -7,7 +7,7 @@ from imr_torch.observe.extremes import collapse_time
 from imr_torch.observe.laboratory import SimulatedLaboratory
 from imr_torch.observe.landmarks import Landmarks, find_landmarks
 from imr_torch.observe.medium import UNSTATED_SDS, GelMedium, gel_medium
-from imr_torch.observe.noise import Noise, NoiseLaws, noise_sentences
+from imr_torch.observe.noise import Noise, NoiseLaws
 from imr_torch.observe.nuisance import NUISANCES, Nuisance, displaced
 from imr_torch.observe.plausibility import check_experiment, check_maximum
 from imr_torch.observe.prediction import predict
@@ -64,7 +64,6 @@ __all__ = [
     "load_collapse_times",
     "load_set",
     "load_traces",
-    "noise_sentences",
     "predict",
     "prepare",
     "register_reader",

@@ -106,7 +106,7 @@ def _measured_rest_radius(trace: RadiusTrace, landmarks: Landmarks) -> tuple[flo
             f"{trace.where} has no rebound and no given "
             "R_inf, so the rest radius cannot be measured from it. Give it: rest_radius=(value, "
             "sd) of R_inf/Rmax (on the command line --rest-radius 0.2:0.1), or Rinf_m in the JSON "
-            "beside the file, or leave the experiment out (--exclude of characterize)."
+            "beside the file."
         )
     top = landmarks.max_radius_m
     return landmarks.rest_radius_m / top, landmarks.rest_radius_sd_m / top
@@ -217,7 +217,7 @@ def find_frame_use(
             return "before the maximum radius"
         if times[frame] > last:
             return f"after collapse {collapses}, where the fitted window ends"
-        return "left out of the fitted window"
+        return "far off their neighbours"
 
     unused = []
     for why, group in groupby(range(len(fitted)), reason):

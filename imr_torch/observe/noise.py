@@ -8,7 +8,6 @@ averaged.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -210,21 +209,3 @@ class NoiseLaws:
         its central law.
         """
         return self.log_scale_sd * torch.special.ndtri((arange(count) + 0.5) / count)
-
-
-def noise_sentences(noise: Noise, interval: Sequence[float] | None) -> list[str]:
-    """How large the inferred noise of a frame is, and how much wider intervals are for what
-    residuals have in common.
-
-    Args:
-        noise: the law of the fit.
-        interval: 5, 50 and 95 % quantiles of the noise of the median frame, R*; None where it was
-            not inferred.
-
-    >>> from imr_torch.observe import Noise, noise_sentences
-    >>> noise_sentences(Noise(scale=3.0, widened=1.5), [0.004, 0.005, 0.006])[1]
-    'Residuals have more in common than such noise; intervals are 1.50 times as wide for it.'
-    """
-    if interval is None:
-        return []
-    return render("noise_sentences.txt", noise=noise, interval=interval, wide=WIDE).splitlines()

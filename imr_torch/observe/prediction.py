@@ -11,8 +11,9 @@ number of shots.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import torch
@@ -306,17 +307,37 @@ def _simulate_collapses(
 ) -> Tensor:
     """Collapse times ``... x E`` of true designs, looked for about ``E`` times."""
 
-    def find_minima(times: Tensor) -> Tensor:
-        bubbles = _simulate_bubbles(simulator, parameters, designs, times, bundled=bundled)
+    def find_minima(times: Tensor, gels: Tensor, designs: Tensor) -> Tensor:
+        bubbles = _simulate_bubbles(simulator, gels, designs, times, bundled=bundled)
         return first_minimum(times, *bubbles)
 
     usual, late, close = (about[:, None] * x.to(about) for x in _collapse_times_looked_at())
-    found = find_minima(usual)
-    if bool(torch.isnan(found).any()):
-        found = find_minima(late)
+    found = find_minima(usual, parameters, designs)
+    missing = torch.isnan(found).any(-1)
+    found = _replace_times(found, missing, partial(find_minima, late), parameters, designs, bundled)
     lost = torch.isnan(found)
     near = torch.where(lost, about, found)[..., None] + close
-    return torch.where(lost, torch.nan, find_minima(near))
+    return torch.where(lost, torch.nan, find_minima(near, parameters, designs))
+
+
+def _replace_times(
+    found: Tensor,
+    chosen: Tensor,
+    find_times: Callable[[Tensor, Tensor], Tensor],
+    parameters: Tensor,
+    designs: Tensor,
+    bundled: bool,
+) -> Tensor:
+    """Times ``... x E``, those of the chosen gels (``...``), or of bundles with one of these, found
+    anew.
+    """
+    if bundled:
+        chosen = chosen.any(-1)
+    if not bool(chosen.any()):
+        return found
+    gels = parameters.expand(*found.shape[:-1], -1)[chosen]
+    anew = find_times(gels, designs.expand(*found.shape, 2)[chosen])
+    return found.index_put((chosen,), anew)
 
 
 def _interpolate_collapses(
@@ -329,7 +350,7 @@ def _interpolate_collapses(
     *,
     steps: tuple[float, float] = (0.05, 0.01),
 ) -> Tensor:
-    """The same, interpolated between designs where every gel collapses at all nodes or at none.
+    """The same, interpolated between designs; simulated of gels that collapse at some nodes alone.
 
     The range of (ln We, R_inf*) is rounded to ``steps``, so that nodes stay.
     """
@@ -344,15 +365,19 @@ def _interpolate_collapses(
     middle = about.mean().expand(len(at))
     times = _simulate_collapses(simulator, gels, at, middle, bundled)[..., rows, :]
     lost = times.isnan()
-    if bool((lost.any(-1) & ~lost.all(-1)).any()):
-        return _simulate_collapses(simulator, parameters, designs, about, bundled)
 
     def find_powers(places: Tensor) -> Tensor:
         x, y = (column.numpy() for column in places.unbind(-1))
         return torch.from_numpy(polyvander2d(x, y, [n - 1 for n in nodes]))
 
     weights = find_powers((places - low) / half - 1.0) @ torch.linalg.inv(find_powers(unit))
-    return (weights * times[..., None, :]).sum(-1)
+    found = (weights * times[..., None, :]).sum(-1)
+
+    def simulate_times(gels: Tensor, designs: Tensor) -> Tensor:
+        return _simulate_collapses(simulator, gels, designs, about, bundled)
+
+    some = lost.any(-1) & ~lost.all(-1)
+    return _replace_times(found, some, simulate_times, parameters, designs, bundled)
 
 
 def _distinct_gels(parameters: Tensor, bundled: bool) -> tuple[Tensor, Tensor]:

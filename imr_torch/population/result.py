@@ -26,9 +26,6 @@ from imr_torch.types import Controls
 DECISIVE = math.log(10.0)
 """Log Bayes factor, nats, from which shots are said to differ, or to be of one gel: odds of 10 to 1."""
 
-LARGEST_SHOWN = 30.0
-"""Nats; a larger log Bayes factor rests on the far tails of the shots' likelihoods."""
-
 Interval = list[float]
 """5, 50 and 95 % quantile."""
 
@@ -43,20 +40,13 @@ class BayesFactor:
         reliable: whether the draws behind it are.
 
     >>> from imr_torch.population import BayesFactor
-    >>> print(BayesFactor(value=4.2, error=0.1, reliable=True))
-    4.2 +- 0.1 nats
+    >>> BayesFactor(value=4.2, error=0.1, reliable=True).value
+    4.2
     """
 
     value: float
     error: float
     reliable: bool
-
-    def __str__(self) -> str:
-        if abs(self.value) > LARGEST_SHOWN:
-            return f"{'below -' if self.value < 0 else 'above '}{LARGEST_SHOWN:.0f} nats"
-        return f"{self.value:.1f} +- {max(self.error, 0.05):.1f} nats" + (
-            "" if self.reliable else " (draws not reliable)"
-        )
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ A :class:`~imr_torch.reading.layout.Layout` says what names mean.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -93,7 +93,14 @@ class RawCurve:
             raise InputDataError(f"{self.where}, row {self.rows[i]}: {said}")
 
 
-def curves_of(content: Content, layout: Layout | None, said: Said, *, sort: bool) -> TraceSet:
+def curves_of(
+    content: Content,
+    layout: Layout | None,
+    said: Said,
+    *,
+    sort: bool,
+    exclude: Collection[str] = (),
+) -> TraceSet:
     """The curves of a file in SI units, and what was left out of them.
 
     Args:
@@ -101,6 +108,7 @@ def curves_of(content: Content, layout: Layout | None, said: Said, *, sort: bool
         layout: what its names mean; None: they must say it themselves.
         said: what the JSON file beside it says.
         sort: whether rows are put in the order of their times.
+        exclude: names of curves that are left out.
 
     Raises:
         InputDataError: if the file cannot be used; the message names place, value and remedy.
@@ -116,8 +124,10 @@ def curves_of(content: Content, layout: Layout | None, said: Said, *, sort: bool
     rests = rest_radii(content, layout, len(raw))
     traces = []
     for curve, top, rest in zip(raw, tops, rests, strict=True):
-        if not curve.radius.size:
-            left_out.append(LeftOut(curve.file, curve.experiment_id, "", "an empty cell"))
+        excluded = curve.experiment_id in exclude
+        if excluded or not curve.radius.size:
+            why = "left out as asked for" if excluded else "an empty cell"
+            left_out.append(LeftOut(curve.file, curve.experiment_id, row_ranges(curve.rows), why))
             continue
         top_m = None if top is None else top * LENGTHS[layout.max_radius_unit]
         rest_m = None if rest is None else rest * scales.metres(layout.rest_radius_unit, top_m)

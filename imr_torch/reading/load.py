@@ -10,7 +10,7 @@ of a hydrophone, as driving.
 """
 
 import glob
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -85,7 +85,12 @@ def register_reader(reader: Reader) -> Reader:
     return reader
 
 
-def load_traces(*paths: str | Path, layout: Layout | None = None, sort: bool = False) -> TraceSet:
+def load_traces(
+    *paths: str | Path,
+    layout: Layout | None = None,
+    sort: bool = False,
+    exclude: Collection[str] = (),
+) -> TraceSet:
     """Read curves from files.
 
     Args:
@@ -101,6 +106,7 @@ def load_traces(*paths: str | Path, layout: Layout | None = None, sort: bool = F
             the file must say it.
         sort: put rows in the order of their times, as digitised curves need it; of rows with the
             same time the first is kept.
+        exclude: names of curves in these files that are left out, and not checked.
 
     Returns:
         The traces in SI units, the rows that were left out and why, and notes on the decisions
@@ -123,7 +129,7 @@ def load_traces(*paths: str | Path, layout: Layout | None = None, sort: bool = F
     """
     if not paths:
         raise InputDataError("load_traces was given no file; name at least one.")
-    return TraceSet.join([_load_file(path, layout, sort) for path in find_files(*paths)])
+    return TraceSet.join([_load_file(path, layout, sort, exclude) for path in find_files(*paths)])
 
 
 def find_files(*paths: str | Path) -> list[Path]:
@@ -174,7 +180,7 @@ def _is_of_curves(path: Path) -> bool:
     return bool(READERS) and path.is_file() and _find_reader(path, _first_bytes(path)) is not None
 
 
-def _load_file(path: Path, layout: Layout | None, sort: bool) -> TraceSet:
+def _load_file(path: Path, layout: Layout | None, sort: bool, exclude: Collection[str]) -> TraceSet:
     """The curves of one file, with what the JSON file beside it says."""
     beside = Sidecar(path)
     if layout is None and is_shot_file(path):
@@ -185,7 +191,9 @@ def _load_file(path: Path, layout: Layout | None, sort: bool) -> TraceSet:
     reader = _find_reader(path, _read_head(path))
     if reader is None:
         contents = read_contents(path)
-        traces = TraceSet.join([curves_of(x, layout, beside.said, sort=sort) for x in contents])
+        said = beside.said
+        curves = [curves_of(x, layout, said, sort=sort, exclude=exclude) for x in contents]
+        traces = TraceSet.join(curves)
     elif layout is None:
         traces = reader.read(path)
     else:

@@ -64,7 +64,7 @@ def draw_figures(document: Document) -> list[NamedFigure]:
     try:
         note = "The model does not explain the curves: do not quote its numbers."
         figures = list(_FIGURES[kind](document))
-        if is_explained(document) is False:
+        if is_explained(document) is False or document.get("misfits"):
             figures = [
                 x if x.name.startswith(_WITHOUT_FIT) else replace(x, note=note) for x in figures
             ]

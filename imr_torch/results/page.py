@@ -13,10 +13,8 @@ from imr_torch.errors import InputDataError, in_one_line
 from imr_torch.files import Document, write_bytes
 from imr_torch.gap.document import list_names
 from imr_torch.html import render
-from imr_torch.labels import model_probability
 from imr_torch.material import material
-from imr_torch.observe import Noise, noise_sentences
-from imr_torch.population import BayesFactor
+from imr_torch.observe import Noise
 from imr_torch.results.figures import draw_figures, kind_of
 from imr_torch.results.intervals import is_usable, parameters_of
 from imr_torch.select import Bound
@@ -130,11 +128,8 @@ def _list_names(document: Document) -> Document:
         "best": max(chances, key=chances.__getitem__) if chances else "",
         "unit": "R*" if document.get("curves") or document.get("experiments") else "t*",
         "noise": Noise(**document["noise"]) if document.get("noise") else None,
-        "noise_sentences": noise_sentences,
         "material": material,
-        "model_probability": model_probability,
         "Bound": Bound,
-        "BayesFactor": BayesFactor,
         "Noise": Noise,
         "usable": is_usable,
         "document_parameters": parameters_of(document.get("shots", ())),
@@ -157,5 +152,8 @@ def _draw_pictures(figures: Iterable[NamedFigure]) -> dict[str, list[Any]]:
 
 
 def _name_files(document: Document) -> str:
-    names = [entry["name"] for entry in document.get("files", ())]
-    return ", ".join(name for name in names if not name.endswith(".json"))
+    """The files whose curves were fitted; all tables where the result does not say it."""
+    names = [x["name"] for x in document.get("files", ()) if not x["name"].endswith(".json")]
+    fitted = {curve.get("source") for curve in document.get("curves", ())}
+    chosen = [] if document.get("collapse_times") else [name for name in names if name in fitted]
+    return ", ".join(chosen or names)

@@ -50,7 +50,10 @@ def test_that_no_name_leaves_the_folder(tmp_path):
 def test_that_a_file_that_cannot_be_used_is_named_and_costs_no_other(tmp_path):
     made = workspace(tmp_path)
     made.add_file("bad.csv", b"time,radius\n0,1\n")
-    bad, good = made.list_files()
+    made.add_file("bad.json", b"{}")
+    made.add_file("lone.json", b"{}")
+    bad, good, lone = made.list_files()
+    assert (lone.name, "there is none" in lone.problem) == ("lone.json", True)
     assert (bad.name, good.name, good.curves) == ("bad.csv", "example_gel.csv", 4)
     assert "bad.csv" in bad.problem
     assert str(tmp_path) not in bad.problem

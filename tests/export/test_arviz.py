@@ -6,7 +6,7 @@ import pytest
 from imr_torch.assimilate import SearchOptions, assimilate, weigh
 from imr_torch.errors import InputDataError
 from imr_torch.export import to_arviz
-from imr_torch.observe import ExperimentBatch, Nuisance
+from imr_torch.observe import ExperimentBatch, GelMedium, Nuisance
 from tests.linear import LinearSimulator, exact, experiments, prior, tensor
 
 pytest.importorskip("arviz_base", reason="needs the extra arviz")
@@ -123,6 +123,16 @@ def test_that_a_fit_without_weights_gives_its_gaussian(weighted):
         float(expected.means[0]), rel=0.02
     )
     assert float(branch["posterior"]["G"].std()) == pytest.approx(float(expected.sds[0]), rel=0.05)
+
+
+def test_that_an_inferred_density_is_exported_as_the_logarithm_that_it_is():
+    belief = GelMedium().loosened.believed(prior(("nhkv",)))
+    options = SearchOptions(raw_samples=8, starts=2)
+    fits = assimilate(
+        belief, experiments(2), LinearSimulator(), seed=0, options=options, warn=False
+    )
+    names = set(to_arviz(fits, seed=0, draws=2)["nhkv+density/posterior"].data_vars)
+    assert names == {"G", "mu", "ln_density_ratio"}
 
 
 def test_that_a_file_holds_the_tree(weighted, tmp_path):

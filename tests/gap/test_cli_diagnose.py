@@ -70,15 +70,15 @@ def test_that_single_curves_are_judged_by_the_noise_of_their_frames(single, tmp_
     said = capsys.readouterr().out
     result = json.loads(target.read_text())
     assert "negative or smaller than a camera sees" in said
-    assert "Frames that stand alone, far off their neighbours, were left out: 15 of shot 0." in said
-    assert "Noise of the camera, inferred from single frames: " in said
+    assert "Frames far off their neighbours were left out: 15 of shot 0 (0 is" in said
+    assert "Radius error of one frame: about " in said
     assert result["frames_left_out"] == {"shot 0": [15]}
     low, middle, high = result["noise_interval"]
     assert 0.003 < low < middle < high < 0.03
     assert (result["gap"], result["verdict"], result["converged"]) == (False, "none", True)
     assert "everything (chi-square)" not in {test["name"] for test in result["tests"]}
     assert [shot["id"] for shot in result["record"]["shots"]] == ["shot 0", "shot 1"]
-    assert "The record before any gel" in said
+    assert "What the records show without a model" in said
 
 
 def test_that_missing_frames_and_missing_repeats_are_left_out_and_no_others(matched, tmp_path):

@@ -6,6 +6,7 @@ import math
 
 import pytest
 import torch
+from torch.testing import assert_close
 
 from imr_torch import PolytropicSimulator, characterize, wide_prior
 from imr_torch.assimilate import SearchOptions
@@ -25,7 +26,7 @@ from imr_torch.observe import (
     predict,
 )
 from imr_torch.observe.collapse import serial_correlation
-from imr_torch.observe.prediction import predict_collapse
+from imr_torch.observe.prediction import _simulate_bubbles, predict_collapse
 from imr_torch.random import generator
 from imr_torch.simulate import Conditions, PolytropicGas
 from imr_torch.units import Surroundings
@@ -115,12 +116,40 @@ def test_that_an_almost_empty_cavity_collapses_in_rayleighs_time():
     assert 0.0 < errors[1] < 0.0011
 
 
-@pytest.mark.parametrize("bundled", [False, True])
-def test_that_times_of_many_shots_are_those_of_each_by_itself(bundled):
-    """Interpolated between designs they are as right as simulated ones, nuisances and slopes too."""
+@pytest.fixture
+def thirty() -> tuple[torch.Tensor, torch.Tensor]:
+    """Designs and measured times of so many shots."""
     many = [shot.to_experiment(Surroundings()) for shot in shots(30, seed=5)]
-    where = tensor([shot.design for shot in many])
-    measured = tensor([shot.time for shot in many])
+    return tensor([shot.design for shot in many]), tensor([shot.time for shot in many])
+
+
+def test_that_a_gel_which_collapses_in_some_shots_alone_is_simulated_and_no_other(
+    thirty, monkeypatch
+):
+    gels = torch.stack([PARAMETERS.pack(GEL | {"mu": mu}) for mu in (0.1, 0.7)])
+    alone = [
+        predict_collapse(SIMULATOR, gels, thirty[0][i : i + 1], thirty[1][i : i + 1])
+        for i in range(30)
+    ]
+    made = []
+
+    def count_bubbles(*args, **options):
+        bubbles = _simulate_bubbles(*args, **options)
+        made.append(bubbles[0].shape[-2] * bubbles[0].shape[0])
+        return bubbles
+
+    monkeypatch.setattr("imr_torch.observe.prediction._simulate_bubbles", count_bubbles)
+    found = predict_collapse(SIMULATOR, gels, *thirty)
+    assert_close(found, torch.cat(alone, 1), rtol=0.0, atol=5e-5, equal_nan=True)
+    assert 0 < int(found[1].isnan().sum()) < 30
+    nodes = 12
+    assert made == [2 * nodes, nodes, 2 * nodes, 30, 30, 30]
+
+
+@pytest.mark.parametrize("bundled", [False, True])
+def test_that_times_of_many_shots_are_those_of_each_by_itself(bundled, thirty):
+    """Interpolated between designs they are as right as simulated ones, nuisances and slopes too."""
+    where, measured = thirty
     gels = [GEL, GEL, {"G": 8040.0, "mu": 0.1}, {"G": 2000.0, "mu": 0.05}]
     gels = torch.stack([PARAMETERS.pack(gel) for gel in gels])
     shifts = zeros(4, 30, 3)
@@ -254,7 +283,7 @@ def test_that_curves_and_times_of_one_gel_tell_more_than_either():
     assert (
         both.assimilation["nhkv"].sample.noise is None
     )  # beside collapse times the noise is plugged in
-    assert "which is taken as known" in both.report()
+    assert "a further error of" in both.report()
     assert len(both.collapse_times()) == 8
     assert [e.label for e in both.experiments] == ["curve"]
     assert set(both.assimilation.rmse_by_experiment("nhkv")) == {"curve"}

@@ -119,7 +119,9 @@ def test_two_shots_cannot_outvote_each_other():
         for shot in told.shots
     ]
     text = "\n".join(replace(told, shots=tuple(shots)).sentences())
-    assert re.search(r"looks like 0\.10 \+- .* Pa s and no possible modulus \(", text)
+    assert re.search(
+        r"looks like a viscosity of 0\.10 \+- .* Pa s and no possible modulus \(", text
+    )
     assert "These values are orders of magnitude and no measurement" in text
 
 

@@ -189,7 +189,7 @@ def test_that_the_figure_marks_unused_frames_and_has_second_axes(document):
 
 def test_that_a_page_escapes_what_it_is_given_and_loads_nothing(document):
     text = document_page(document, title="A < B", report="5 < 6")
-    assert "The record before any gel" in text
+    assert "What the records show without a model" in text
     assert "<script" not in text
     assert "&lt;script&gt;" in text
     assert "<h1>A &lt; B</h1>" in text
@@ -202,6 +202,11 @@ def test_that_a_page_escapes_what_it_is_given_and_loads_nothing(document):
         < text.index("<details><summary>What was assumed")
     )
     assert "What to do next" in text
+
+
+def test_that_the_title_names_files_of_which_curves_were_fitted(document):
+    files = [{"name": name, "bytes": 1, "sha256": ""} for name in ("other.csv", "gel.csv")]
+    assert "<h1>Gel in gel.csv</h1>" in document_page(document | {"files": files})
 
 
 def test_that_the_shape_of_a_bubble_is_drawn_where_two_axes_were_seen(document):

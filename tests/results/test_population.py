@@ -12,7 +12,6 @@ from imr_torch.errors import InputDataError
 from imr_torch.html import _make_environment
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Noise
-from imr_torch.population import BayesFactor
 from imr_torch.results import draw_figures
 from imr_torch.results.intervals import population_figure
 from tests.results.documents import SIMULATOR, traces
@@ -54,7 +53,7 @@ def test_that_every_shot_is_drawn_twice_beside_the_median():
 
 
 def page_part(found: dict) -> str:
-    names = {"parameters": PARAMETERS, "BayesFactor": BayesFactor, "Noise": Noise}
+    names = {"parameters": PARAMETERS, "Noise": Noise}
     module = _make_environment().get_template("population.html").make_module(names)
     return str(module.population_part(found))
 
@@ -99,7 +98,7 @@ def test_that_the_command_writes_report_json_figure_and_page(
     assert [shot["id"] for shot in found["shots"]] == ["a", "b", "c"]
     low, _, high = found["parameters"]["G"]["median"]
     assert low < 8310.0 < high
-    assert "Scatter of any parameter against none" in (out / "report.txt").read_text()
+    assert "Log evidence that a parameter scatters, over none" in (out / "report.txt").read_text()
     assert (out / "population.png").stat().st_size > 5000
     assert "population" in [figure.name for figure in draw_figures(document)]
     assert "Does the gel differ from shot to shot?" in page.read_text()

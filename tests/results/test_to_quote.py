@@ -3,6 +3,7 @@ same first.
 """
 
 import copy
+import re
 
 import pytest
 
@@ -110,3 +111,14 @@ def test_that_the_last_sentence_says_what_to_quote(found, change, said):
         ("polytropic" in first) == ("polytropic" in last) == (document["physics"] == "polytropic")
     )
     assert said in document_page(document).partition("<section>")[0]
+
+
+def test_that_an_undecided_probability_is_quoted_nowhere(found):
+    document = copy.deepcopy(found)
+    document["models"]["newtonian"] = document["models"]["nhkv"]
+    document["model_probabilities"] = {"nhkv": 0.9, "newtonian": 0.1}
+    document["model_probability_errors"] = {"nhkv": 0.87, "newtonian": 0.87}
+    for text in (document_report(document), document_page(document)):
+        assert "probability undecided (0.90 +- 0.87; --effort thorough draws more)" in text
+        assert "say that too few draws decide between the 2 candidates" in text
+        assert not re.search(r"0\.90(?! \+-)", text.partition("data:image")[0])
