@@ -18,12 +18,13 @@ the inverse square of the stated error (correlation) or by its own square (share
 
 import math
 import time
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 import torch
 from torch import Tensor
 
-from benchmarks.gap.sets import PHYSICS, SyntheticSet, Task, make_set
+from benchmarks.gap.sets import PHYSICS, Task, make_set
 from benchmarks.records import (
     Line,
     add_out,
@@ -32,12 +33,14 @@ from benchmarks.records import (
     start_commands,
     write_table,
 )
+from imr_torch.assimilate import ModelFit
 from imr_torch.float64 import arange, tensor
 from imr_torch.gap.fits import fit_null
 from imr_torch.gap.hypotheses import Inquiry
 from imr_torch.material import LIBRARY, PARAMETERS, TERMS, dimensionless, gel_response, wide_prior
 from imr_torch.observe import ExperimentBatch
-from imr_torch.simulate import Simulator, fewer_steps
+from imr_torch.simulate import fewer_steps
+from imr_torch.units import Surroundings
 from imr_torch.unknown import NOTHING_KNOWN, MissingPressure, infer_unknown
 from imr_torch.unknown.shot import SPACING
 
@@ -72,16 +75,25 @@ def infer_set(task: Task) -> Line:
         "explained": found.explained,
         "terms": dict(list(found.terms.items())[:3]),
         "largest_kPa": max((float(s.pressure.abs().max()) for s in found.shots), default=0.0) / 1e3,
-        "sure_nonzero": _share_nonzero(found.shots) if found.shots else 0.0,
+        "sure_nonzero": share_nonzero(found.shots) if found.shots else 0.0,
         "seconds": time.process_time() - started,
     }
     if data.truth and found.shots and _is_stress(data.truth[0]):
-        fitted = null.prior.to_si(null.mean)
-        line |= compare_pressures(data, found.shots, fitted, task.simulator(fine=True))
+        designs = [experiment.design for experiment in data.experiments]
+        truths = [data.values] * len(designs)
+        fitted = values_of(null)
+        outer = simulator.conditions.surroundings
+        line |= compare_pressures(designs, truths, fitted, found.shots, outer)
     return line
 
 
-def _share_nonzero(shots: tuple[MissingPressure, ...]) -> float:
+def values_of(fit: ModelFit) -> dict[str, float]:
+    """The fitted parameters, SI."""
+    values = fit.prior.to_si(fit.mean)[PARAMETERS.index(fit.prior.names)]
+    return dict(zip(fit.prior.names, values.tolist(), strict=True))
+
+
+def share_nonzero(shots: Sequence[MissingPressure]) -> float:
     """Share of time in which the 90 % band excludes zero."""
     away = [(shot.pressure.abs() > 1.645 * shot.sd).double().mean() for shot in shots]
     return float(torch.stack(away).mean())
@@ -95,32 +107,32 @@ def _is_stress(effect: str) -> bool:
 
 
 def compare_pressures(
-    data: SyntheticSet, shots: tuple[MissingPressure, ...], fitted: Tensor, simulator: Simulator
+    designs: Sequence[tuple[float, float]],
+    truths: Sequence[Mapping[str, float]],
+    fitted: Mapping[str, float],
+    shots: Sequence[MissingPressure],
+    surroundings: Surroundings,
 ) -> Line:
     """Correlation of true and inferred missing pressure, and the share of the true one inside the
-    90 % band.
+    90 % band; true parameters of each shot and those of the fitted base model, SI.
     """
-    truths, found, sds = [], [], []
-    surroundings = simulator.conditions.surroundings
-    gels = (PARAMETERS.pack(data.values), fitted)
-    for experiment, shot in zip(data.experiments, shots, strict=True):
-        weber, rest = tensor(experiment.design)
+    trues, found, sds = [], [], []
+    for design, truth, shot in zip(designs, truths, shots, strict=True):
+        weber, rest = tensor(design)
         size = surroundings.max_radius(weber)
         seconds = surroundings.time_scale(size)
         times = shot.times / seconds
         step = float(times[1] - times[0])
         radius = shot.stretch * rest
         velocity = shot.rate * seconds * radius
-        true, base = (
-            stress_along(dimensionless(x, size, surroundings), radius, velocity, rest, step)
-            for x in gels
-        )
+        gels = (dimensionless(PARAMETERS.pack(x), size, surroundings) for x in (truth, fitted))
+        true, base = (stress_along(gel, radius, velocity, rest, step) for gel in gels)
         # as coarse in time as what is inferred: averaged, and made, by pulses
         width = math.sqrt(2.0) * SPACING / step
-        truths.append(surroundings.far_field_pressure * smooth(true - base, width))
+        trues.append(surroundings.far_field_pressure * smooth(true - base, width))
         found.append(shot.pressure)
         sds.append(shot.sd)
-    true, own, sd = (torch.cat(x) for x in (truths, found, sds))
+    true, own, sd = (torch.cat(x) for x in (trues, found, sds))
     inside = ((true - own).abs() <= 1.645 * sd).double()
     return {
         "correlation": weighted_correlation(true, own, sd.square().reciprocal()),
