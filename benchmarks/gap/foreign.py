@@ -23,7 +23,6 @@ squared error over that of the base model.
 import argparse
 import math
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
@@ -36,7 +35,15 @@ from benchmarks.gap import closures
 from benchmarks.gap.sets import GEL, draw_designs
 from benchmarks.gap.signals import refit
 from benchmarks.gap.single_curves import FITS, TRUTH, trace
-from benchmarks.gap.unknown import SURE, share_nonzero, values_of
+from benchmarks.gap.unknown import (
+    OWN_KINDS,
+    SCORES,
+    count_words,
+    median_of,
+    score_group,
+    summarise_unknown,
+    values_of,
+)
 from benchmarks.gap.verdicts import is_named, summarise
 from benchmarks.records import (
     Line,
@@ -49,13 +56,12 @@ from benchmarks.records import (
 from imr_torch.design import Plan
 from imr_torch.float64 import arange, ones, rand, randn, tensor, zeros
 from imr_torch.gap import GapReport, diagnose
-from imr_torch.gap.hypotheses import EXPLAINS
 from imr_torch.material import LIBRARY
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, TraceSet, prepare
 from imr_torch.observe.nuisance import FLOOR
 from imr_torch.random import child, generator
 from imr_torch.simulate import STEPPINGS, PolytropicSimulator, Simulator, fewer_steps, process_pool
-from imr_torch.unknown import NOTHING_KNOWN, Unknown, infer_unknown
+from imr_torch.unknown import Unknown, infer_unknown
 from imr_torch.unknown.next_shot import plan_shot, predict_curve
 
 EFFECTS = {
@@ -67,7 +73,7 @@ EFFECTS = {
     "two_times": {"material"},
 }
 """Effect -> kinds that are right."""
-PLACEBOS = ("none", "own_drive")
+OWN_KINDS |= EFFECTS
 PATHS = {"repeats": (10, Noise()), "single": (1, Noise(scale=0.4))}
 """Repeats of a design, and the law of one's noise."""
 PRESSURES = ("surface_viscosity", "darcy", "two_times")
@@ -79,7 +85,9 @@ STARTS = {
     "no_sphere": 0.1,
     "two_times": 4.0,
     "own_drive": 0.03,
+    "none": 0.0,
 }
+"""Effects and placebos, and the strength at which a search begins."""
 SIMULATORS: dict[str, tuple[Simulator, Simulator]] = {
     "polytropic": (
         PolytropicSimulator(threads=1),
@@ -99,7 +107,7 @@ class Truth:
     """What was filmed, the designs of the last ``_UNSEEN`` shots being kept back.
 
     Args:
-        effect: one of ``EFFECTS`` or ``PLACEBOS``.
+        effect: one of ``STARTS``.
         strength: of the effect.
         gels: true parameters of each shot beside it, SI.
         designs: of all shots.
@@ -252,13 +260,8 @@ def judge_unknown(truth: Truth, report: GapReport, unseen: Tensor) -> Line:
         found = None
     if found is None:
         return {"explained": None}
-    line: Line = {
+    line = summarise_unknown(found) | {
         "shown": report.found and not is_named({"verdict": report.verdict}),
-        "kind": found.kind,
-        "kinds": found.probabilities,
-        "explained": found.explained,
-        "terms": dict(list(found.terms.items())[:3]),
-        "sure_nonzero": share_nonzero(found.shots) if found.shots else 0.0,
         "seconds_unknown": time.process_time() - started,
         "unseen": judge_unseen(truth, report, found, unseen),
     }
@@ -304,113 +307,30 @@ def list_jobs(args: argparse.Namespace) -> tuple[dict[str, partial[Line]], dict[
     return jobs, about
 
 
-def is_sure(line: Line) -> bool:
-    """Whether one kind has P > .8 and explains 3 nats."""
-    return max(line["kinds"].values()) > SURE and line["explained"] >= EXPLAINS
-
-
-def named_term(line: Line) -> str | None:
-    """The plain term with P > .8, if any."""
-    name, share = next(iter(line["terms"].items()), (NOTHING_KNOWN, 1.0))
-    known = name != NOTHING_KNOWN and share > SURE and line["explained"] >= EXPLAINS
-    return name if known else None
-
-
-def score_unseen(line: Line) -> float:
-    """S of the most probable kind on unseen designs."""
-    errors = line.get("unseen") or {}
-    value = errors.get(line.get("kind"))
-    return math.nan if value is None or not errors["base"] else 1.0 - value / errors["base"]
-
-
-def _middle(values: Sequence[float | None]) -> str:
-    known = sorted(x for x in values if x is not None and not math.isnan(x))
-    return f"{known[len(known) // 2]:.2f} ({len(known)})" if known else "-"
-
-
-def _count(values: Sequence[str]) -> str:
-    return ", ".join(f"{name} {n}" for name, n in Counter(values).most_common()) or "-"
-
-
-def _rows(lines: Sequence[Line]) -> Sequence[Sequence[object]]:
-    """A row of each effect."""
-    rows = []
-    for effect in (*EFFECTS, *PLACEBOS):
-        own = [x for x in lines if x["effect"] == effect and "verdict" in x]
-        asked = [x for x in own if x["explained"] is not None]
-        sure = [x for x in asked if is_sure(x)]
-        names = ["+".join(x["cause"]) for x in own if is_named(x)]
-        terms = [term for x in asked if (term := named_term(x))]
-        if own:
-            cells = (
-                _middle([x["signal"] for x in own]),
-                sum(x["p_gap"] < 0.05 for x in own),
-                _count([x["verdict"] for x in own]),
-                _count(names),
-                f"{len(sure)} of {len(asked)}: {_count([x['kind'] for x in sure])}",
-                _middle([x.get("correlation") for x in asked]),
-                _middle([x.get("inside") for x in asked]),
-                _middle([score_unseen(x) for x in asked]) if effect in EFFECTS else "-",
-                _count(terms),
-            )
-            rows.append((effect, len(own), *cells))
-    return rows
-
-
 def write_scores(lines: Sequence[Line]) -> str:
-    """A table of each path by effects, then what must be met."""
-    head = ("effect", "sets", "sd", "p < .05", "verdicts", "names", "sure kinds")
-    head += ("correlation", "inside", "S unseen", "terms")
+    """A table of each path: by effects, of all effects together, and placebos."""
+    head = ("", "sd", "p < .05", "named", "S unseen", "CPU s", *SCORES)
     pages = []
-    found = []
     for path in PATHS:
-        own = [x for x in lines if x["path"] == path]
-        failed = sum("verdict" not in x for x in own)
-        pages.append(f"{path}: {len(own)} sets, {failed} without an answer\n")
-        pages.append(write_table(head, _rows(own)) + "\n")
-        found.append([value for _, value in list_figures(own)])
-    names = [name for name, _ in list_figures([])]
-    pages.append(write_table(("figure", *PATHS), list(zip(names, *found, strict=True))))
-    return "\n".join(pages)
+        own = [x | {"S": score_unseen(x)} for x in lines if x["path"] == path and "verdict" in x]
+        groups = {effect: [x for x in own if x["effect"] == effect] for effect in STARTS}
+        for name, kinds in (("all effects", EFFECTS), ("pressures", PRESSURES)):
+            groups[name] = [x for x in own if x["effect"] in kinds]
+        rows = []
+        for name, some in groups.items():
+            seen = f"{sum(x['p_gap'] < 0.05 for x in some)} of {len(some)}"
+            named = count_words("+".join(x["cause"]) for x in some if is_named(x))
+            middle = (median_of(some, x) for x in ("signal", "S", "seconds"))
+            sd, share, cost = middle
+            rows.append((name, sd, seen, named, share, cost, *score_group(some)))
+        pages.append(f"{path}\n\n{write_table(head, rows)}")
+    return "\n\n".join(pages)
 
 
-def list_figures(lines: Sequence[Line]) -> list[tuple[str, str]]:
-    """Figures and what must be met, over all effects."""
-    lines = [x for x in lines if "verdict" in x]
-    asked = [x for x in lines if x["explained"] is not None]
-    acting = [x for x in asked if x["effect"] in EFFECTS]
-    seen = [x for x in lines if x["effect"] in EFFECTS and x["gap"]]
-    sure = [x for x in acting if is_sure(x)]
-    right = [x for x in sure if x["kind"] in EFFECTS[x["effect"]]]
-    gel = [x for x in sure if x["kind"] in ("material", "contents")]
-    state = [x for x in acting if x["effect"] in PRESSURES]
-    none = [x for x in asked if x["effect"] == "none"]
-    drive = [x for x in asked if x["effect"] == "own_drive"]
-    called = [x for x in drive if is_sure(x) and x["kind"] in ("material", "contents")]
-    terms = [f"{x['effect']}: {term}" for x in acting if (term := named_term(x))]
-    quiet = sum(x["explained"] < EXPLAINS for x in none)
-    seconds = [x["seconds_diagnosis"] + x["seconds_unknown"] for x in acting]
-    return [
-        ("an effect is seen", f"{len(seen)} of {sum(x['effect'] in EFFECTS for x in lines)}"),
-        ("seen: a library effect or class is named", f"{sum(map(is_named, seen))} of {len(seen)}"),
-        ("one kind has P > .8 (must .4)", f"{len(sure)} of {len(acting)}"),
-        ("such a kind is right (must .9)", f"{len(right)} of {len(sure)}"),
-        (
-            "the same where a user sees it",
-            f"{sum(x['shown'] for x in right)} of {sum(x['shown'] for x in sure)}",
-        ),
-        (
-            "camera faults called material or contents",
-            f"{sum(EFFECTS[x['effect']] == {'camera'} for x in gel)}",
-        ),
-        ("correlation, median (must .85)", _middle([x.get("correlation") for x in state])),
-        ("inside the 90 % band, median (must .8)", _middle([x.get("inside") for x in state])),
-        ("S on unseen designs, median (must .6)", _middle([score_unseen(x) for x in state])),
-        ("terms with P > .8 (must .85 right)", _count(terms)),
-        ("nothing missing: no kind explains 3 nats (must .95)", f"{quiet} of {len(none)}"),
-        ("placebo called material or contents (must .05)", f"{len(called)} of {len(drive)}"),
-        ("CPU of diagnosis and what is missing, median", _middle(seconds)),
-    ]
+def score_unseen(line: Line) -> float | None:
+    """S of the most probable kind on unseen designs."""
+    errors = line.get("unseen")
+    return None if errors is None else 1.0 - (errors[line["kind"]] or math.inf) / errors["base"]
 
 
 def main() -> None:
@@ -422,7 +342,7 @@ def main() -> None:
     runs.add_argument("--seed", type=int, default=0, help="of the first set; others count up")
     runs.add_argument("--physics", choices=SIMULATORS, default="polytropic")
     runs.add_argument("--paths", default=",".join(PATHS))
-    runs.add_argument("--only", default=",".join((*EFFECTS, *PLACEBOS)))
+    runs.add_argument("--only", default=",".join(STARTS))
     args = parser.parse_args()
     if args.what == "table":
         lines = read_record(*args.files)
