@@ -273,19 +273,18 @@ def judge_unknown(truth: Truth, report: GapReport, unseen: Tensor) -> Line:
 
 
 def judge_unseen(truth: Truth, report: GapReport, found: Unknown, unseen: Tensor) -> Line:
-    """Whitened squared errors on unseen designs, of the base model and of each kind."""
+    """Whitened squared errors on unseen designs, of the base model and of the most probable kind."""
     fewer = fewer_steps(truth.fits)
     times = truth.plan(1, Noise()).curves[0].times
-    errors = dict.fromkeys(("base", *found.probabilities), 0.0)
+    errors = {"base": 0.0, found.kind: 0.0}
     for design, curve in zip(truth.designs[SHOTS:], unseen, strict=True):
         plan = Plan(repeats=1, times=times)
         shot = plan_shot(tensor(design), plan, report.null.prior, fewer)
         base = shot.predict(report.null.mean, zeros(3), zeros(len(shot.moments)))
         left = shot.whiten((curve - base)[None], base)[0]
         errors["base"] += float(left.square().mean())
-        for kind in found.probabilities:
-            made = predict_curve(shot, found.rivals[kind], base).mean
-            errors[kind] += float((left - made).square().mean())
+        made = predict_curve(shot, found.rivals[found.kind], base).mean
+        errors[found.kind] += float((left - made).square().mean())
     return errors
 
 
