@@ -32,7 +32,7 @@ import torch
 from torch import Tensor
 
 from benchmarks.gap import closures
-from benchmarks.gap.sets import GEL, draw_designs
+from benchmarks.gap.sets import GEL, draw_designs, draw_log_uniform
 from benchmarks.gap.signals import refit
 from benchmarks.gap.single_curves import FITS, TRUTH, trace
 from benchmarks.gap.unknown import (
@@ -163,13 +163,13 @@ def draw_truth(
     """A random truth that shows as much as it should, and by how many standard deviations."""
     repeats, noise = PATHS[path]
     while True:
-        gel = {name: _log_uniform(*bounds, source) for name, bounds in GEL.items()}
+        gel = {name: draw_log_uniform(bounds, source) for name, bounds in GEL.items()}
         designs = tuple((w, r) for w, r in draw_designs(SHOTS + _UNSEEN, source).tolist())
         fine = effect == "dropped_frame" and float(rand((), generator=source)) < 0.5
         every = closures.SAMPLES // (2 if fine else 1)
         truth = Truth(effect, 0.0, (gel,) * len(designs), designs, every, physics)
         pulses = [_draw_pulse(source) for _ in designs]
-        target = _log_uniform(*SIGNALS, source)
+        target = draw_log_uniform(SIGNALS, source)
         if effect == "none":
             return truth, 0.0
         strength = STARTS[effect]
@@ -188,10 +188,6 @@ def draw_truth(
             if max(away, 1.0 / away) < _CLOSE and SIGNALS[0] <= signal <= SIGNALS[1]:
                 return truth, signal
             strength *= min(max(away, 0.2), 5.0)
-
-
-def _log_uniform(low: float, high: float, source: torch.Generator) -> float:
-    return low * (high / low) ** float(rand((), generator=source))
 
 
 def _draw_pulse(source: torch.Generator) -> dict[str, float]:
