@@ -4,9 +4,10 @@ made each record.
   python -m benchmarks.gap run FOLDER [--seed 80000] [--labelled SETS] [--measured CURVES]
   python -m benchmarks.gap versions
 
-`run` makes a record of each path in FOLDER, one after the other: sets of repeats; single curves
-whose noise is inferred, without an effect, with one and with gels that differ; what is missing as a
-function; further shots; sets of a separate program; measured curves. Each goes on where it stopped.
+`run` makes a record of each path in FOLDER, one after the other: sets of repeats; what is missing
+as a function, of effects of the library and of others; further shots; single curves whose noise is
+inferred, without an effect, with one and with gels that differ; sets of a separate program; measured
+curves. Each goes on where it stopped.
 At the end the hashes of the code are compared: all lines must be of one version. `versions` prints
 the table of `benchmarks/RESULTS.md` that says whether a record is of the present code; a test
 compares both.
@@ -29,6 +30,7 @@ def list_commands(args: argparse.Namespace) -> Iterator[tuple[str, str, list[str
     for name, options in (
         ("repeats", ["--sets", "67"]),
         ("unknown", ["--sets", "60"]),
+        ("foreign", ["--sets", "4"]),
         ("further_shots", ["--sets", "120"]),
         ("single_curves", ["--sets", "300", "--every", "2"]),
     ):

@@ -142,7 +142,7 @@ def make_set(task: Task) -> SyntheticSet:
 
 
 def _try(task: Task, source: torch.Generator) -> SyntheticSet | None:
-    gel = {name: _log_uniform(bounds, source) for name, bounds in GEL.items()}
+    gel = {name: draw_log_uniform(bounds, source) for name, bounds in GEL.items()}
     plan = make_plan(draw_designs(task.designs + _BESIDE, source), task)
     known = library()
     chosen: dict[Effect, dict[str, float]] = {}
@@ -194,7 +194,8 @@ def _one_of(effects: tuple[Effect, ...], source: torch.Generator) -> Effect:
     return effects[int(torch.randint(len(effects), (), generator=source))]
 
 
-def _log_uniform(bounds: tuple[float, float], source: torch.Generator) -> float:
+def draw_log_uniform(bounds: tuple[float, float], source: torch.Generator) -> float:
+    """Between two bounds."""
     low, high = map(math.log, bounds)
     return math.exp(low + (high - low) * float(rand((), generator=source)))
 
@@ -232,7 +233,7 @@ def draw_effect(effect: Effect, source: torch.Generator) -> tuple[Effect, dict[s
         if i:
             values[name] = float(prior.to_physical(u))
             continue
-        size = prior.sd * _log_uniform(_AMPLITUDE, source)  # type: ignore[attr-defined]  # amplitudes are truncated normal
+        size = prior.sd * draw_log_uniform(_AMPLITUDE, source)  # type: ignore[attr-defined]  # amplitudes are truncated normal
         signed = math.copysign(size, float(u))
         lower = max(prior.lower, PARAMETERS[name].lower)
         upper = min(prior.upper, PARAMETERS[name].upper)

@@ -54,7 +54,7 @@ def signals(
     curves = predict(
         simulator, torch.stack([PARAMETERS.pack({**gel, **effect}) for effect in effects]), plan
     )
-    return [_refit(gel, curve, plan, simulator) for curve in curves]
+    return [refit(gel, curve, plan, simulator) for curve in curves]
 
 
 def beside_rival(
@@ -75,12 +75,10 @@ def beside_rival(
         simulator: makes the bubbles.
     """
     curve = predict(simulator, PARAMETERS.pack({**gel, **truth})[None], plan)[0]
-    return min(
-        _refit(gel, curve, plan, simulator, rival=(rival, values)) for values in rival.starts
-    )
+    return min(refit(gel, curve, plan, simulator, rival=(rival, values)) for values in rival.starts)
 
 
-def _refit(
+def refit(
     gel: Mapping[str, float],
     curve: Tensor,
     plan: ExperimentBatch,

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
-from imr_torch.float64 import tensor
+from imr_torch.float64 import eye, tensor
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
 from imr_torch.unknown.kinds import (
@@ -65,8 +65,7 @@ class MissingPressure:
         rate: strain rate, 1/s.
         pressure: Pa; positive pushes the wall outwards.
         sd: its standard deviation, Pa.
-        own_stress: stress of the base model's gel beside the unknown, whose values may be others
-            than those of the base model's fit, Pa.
+        own_stress: stress of the base model's gel as fitted, Pa.
     """
 
     label: str
@@ -233,24 +232,29 @@ def _compare_terms(
 def _missing_pressures(
     search: KindSearch, found: KindFit, columns: Columns
 ) -> tuple[MissingPressure, ...]:
-    """The unknown's pressure with its error, given the base model's gel as fitted."""
-    fitted = search.base.mean
-    gel = len(fitted)
-    away = fitted - found.state.gel
-    held = replace(
-        found.system,
-        residual=found.system.residual - found.system.fitted[:, :gel] @ away,
-        fitted=found.system.fitted[:, gel:],
-    )
-    refit = held.solve(found.size)
-    place = held.fitted.shape[1]
-    root = refit.root[place:]
+    """The pressure beside the base model's gel as fitted, with its error: what the unknown makes,
+    and by how much the gel beside it differs, along the trajectory of both.
+    """
+    beside = found.aim.gel
+    step = 1e-4
+    gels = (beside, search.base.mean, *(beside - step * eye(len(beside))))
+    root = found.as_rival(columns).root
     surroundings = search.shots[0].simulator.conditions.surroundings
     scale = surroundings.far_field_pressure
     missing = []
     for number, (shot, response) in enumerate(zip(search.shots, found.responses, strict=True)):
         path = response.path
-        shape = shot.shape_pressure(path.times).mT @ columns(number, shot, response) * found.size
+        to_si = search.base.prior.to_si
+        own, base, *others = [shot.stress_along(path, to_si(gel)) for gel in gels]
+        slopes = torch.stack([(own - other) / step for other in others])
+        # as coarse in time as what is inferred
+        averaged = shot.average_pressure(path.times) @ torch.cat((slopes, own[None] - base)).mT
+        made = torch.cat((averaged, columns(number, shot, response)), 1)
+        by_gel, differs, by_weights = (shot.shape_pressure(path.times).mT @ made).split(
+            (len(others), 1, made.shape[1] - len(others) - 1), 1
+        )
+        pressure = differs[:, 0] + by_weights @ found.aim.weights
+        sd = (torch.cat((by_gel, by_weights), 1) @ root).norm(dim=1)
         experiment = shot.batch.curves[0]
         seconds = float(surroundings.time_scale(surroundings.max_radius(experiment.design[0])))
         missing.append(
@@ -259,9 +263,9 @@ def _missing_pressures(
                 path.times * seconds,
                 path.radius / path.rest_radius,
                 path.rate * path.size / seconds,
-                scale * shape @ refit.solution[place:],
-                scale * (shape @ root).norm(dim=1),
-                scale * path.own_stress,
+                scale * pressure,
+                scale * sd,
+                scale * base,
             )
         )
     return tuple(missing)

@@ -121,9 +121,12 @@ def flux_kernel(*, width: float = 0.1) -> Columns:
 
 
 def camera_errors(number: int, shot: Shot, response: Response) -> Tensor:
-    """Smooth errors of the radius over R, R*, above smooth errors of the time over R and t, t*."""
+    """Smooth errors of the radius, in lengths of the film, above those of the time, t*, each over R
+    and t.
+    """
     radii = nystroem_basis(torch.linspace(0.0, 1.1, 40).double()[:, None] / 0.3)
     moments = nystroem_basis(torch.linspace(0.0, 4.0, 60).double()[:, None] / 0.8)
     by_radius = radii(response.prediction[:, None] / 0.3)
     by_time = moments(shot.batch.times[0][:, None] / 0.8)
-    return BACKGROUND * torch.block_diag(by_radius, torch.cat((by_radius, by_time), 1))
+    errors = torch.cat((by_radius, by_time), 1)
+    return BACKGROUND * torch.block_diag(errors / response.path.size, errors)

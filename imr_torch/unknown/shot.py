@@ -17,7 +17,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate import Point, Posterior
-from imr_torch.float64 import arange, ones
+from imr_torch.float64 import arange, ones, zeros
 from imr_torch.material import PARAMETERS, TERMS, ModelBelief, dimensionless, gel_response
 from imr_torch.observe import Experiment, ExperimentBatch, predict
 from imr_torch.simulate import Simulator, TabulatedDriving
@@ -229,8 +229,17 @@ class Shot:
         rest = radius.new_tensor(experiment.design[1])
         surroundings = simulator.conditions.surroundings
         size = surroundings.max_radius(radius.new_tensor(experiment.design[0]))
+        path = Path(times, radius, velocity, float(rest), float(size) / USUAL_SIZE, zeros(0))
+        return replace(path, own_stress=self.stress_along(path, parameters))
+
+    def stress_along(self, path: Path, parameters: Tensor) -> Fine:
+        """Stress over p_inf of a gel, ``p`` parameters in SI, whose wall moves as another may have.
+
+        Memory has no value on a path, so a term that remembers is left out.
+        """
+        surroundings = self.simulator.conditions.surroundings
+        size = path.radius.new_tensor(USUAL_SIZE * path.size)
         theta = dimensionless(parameters, size, surroundings)
-        # memory starts anew on each call, so a term that remembers has no value here
         terms = [term for term in TERMS if not term.states and bool(theta[term.switch] != 0.0)]
-        stress, _ = gel_response(terms, radius, velocity, rest, theta)
-        return Path(times, radius, velocity, float(rest), float(size) / USUAL_SIZE, stress.value)
+        rest = path.radius.new_tensor(path.rest_radius)
+        return gel_response(terms, path.radius, path.velocity, rest, theta)[0].value
