@@ -99,6 +99,21 @@ def test_that_one_curve_that_cannot_be_used_is_left_out_as_the_message_says(
     assert "bad" not in capsys.readouterr().out.partition("Curves as they are fitted")[2]
 
 
+def test_that_the_only_curve_of_a_file_can_be_left_out(tmp_path, capsys):
+    header, *rows = EXAMPLE.read_text().splitlines()
+    files = []
+    for name in ("shot_1", "shot_2"):
+        files.append(str(tmp_path / f"{name}.csv"))
+        own = [row for row in rows if row.startswith(f"{name},")]
+        Path(files[-1]).write_text("\n".join([header, *own]))
+    line = [*f"characterize {' '.join(files)} --models nhkv --medium density=1060".split(), *QUICK]
+    with without_fits(), pytest.raises(Reached):
+        main([*line, "--exclude", "shot_1"])
+    assert "1 curve(s)" in capsys.readouterr().out
+    assert main([*line, "--exclude", "shot_1,shot_2,none"]) == 2
+    assert "No experiment 'none'" in capsys.readouterr().err
+
+
 def test_that_a_fit_keeps_what_is_known_and_takes_the_experiments_that_are_named(tmp_path):
     document = tmp_path / "fit.json"
     some = f"--known mu=0.1 --experiments shot_1,shot_3 --json {document}"

@@ -40,7 +40,8 @@ def run_command(args: Namespace) -> None:
         _characterize(args)
     except InputDataError as error:
         bad = re.search(r"experiment '([^',]+)'", str(error))
-        more = f" One of several curves can be left out: --exclude {bad[1]}" if bad else ""
+        named = bad and bad[1] not in (args.exclude or ())
+        more = f" One of several curves can be left out: --exclude {bad[1]}" if named else ""
         raise InputDataError(f"{error}{more}") from None
 
 

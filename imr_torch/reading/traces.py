@@ -350,7 +350,7 @@ class TraceSet:
                 more = f", ... ({len(self) - 8} more)" if len(self) > 8 else ""
                 raise InputDataError(
                     f"No experiment '{key}' among the {len(self)} loaded: "
-                    f"{', '.join(self.ids[:8])}{more}."
+                    f"{', '.join(self.ids[:8]) or 'none'}{more}."
                 )
             return self.traces[self.ids.index(key)]
         return self.traces[key]
