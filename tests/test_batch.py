@@ -5,7 +5,6 @@ their shot.
 import copy
 import csv
 import json
-import re
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 
@@ -354,26 +353,6 @@ def test_that_the_command_writes_all_and_tells_of_failures(shots, tmp_path, caps
     found = json.loads((tmp_path / "compare.json").read_text())
     assert found["verdict"] == "different"
     assert found["parameters"][0]["ratio_median"] == pytest.approx(0.25, rel=0.1)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["{in}", "--out", "{in}"], "the folder of the curves; name another one"),
-        (["{in}", "--out", "{out}", "--workers", "0"], "--workers is 0; expected at least 1"),
-        (
-            ["{in}", "--out", "{out}", "--workers", "2", "--cluster", "x"],
-            "--workers and --cluster both say who does the work",
-        ),
-    ],
-)
-def test_that_bad_options_end_with_a_message_before_any_work(
-    arguments, message, shots, tmp_path, capsys
-):
-    names = {"in": shots, "out": tmp_path / "out"}
-    assert main(["batch", *(a.format(**names) for a in arguments), "--quiet"]) == 2
-    assert re.search(message, capsys.readouterr().err)
-    assert not (tmp_path / "out").exists()
 
 
 def test_that_a_scheduler_that_does_not_answer_is_named(shots, tmp_path, capsys, monkeypatch):

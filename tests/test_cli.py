@@ -38,23 +38,6 @@ def test_help_teaches_with_an_example(command, capsys):
     )
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        "plot a.json --seed 1",
-        "plot a.json --json b.json",
-        "app --threads 2",
-        "compare a.json b.json --seed 1",
-        "simulate --seed 1",
-    ],
-)
-def test_that_an_option_that_would_do_nothing_is_refused(line, capsys):
-    with pytest.raises(SystemExit) as stop:
-        main(line.split())
-    assert stop.value.code == 2
-    assert f"unrecognized arguments: --{line.split(' --')[1]}" in capsys.readouterr().err
-
-
 def test_that_a_result_says_with_which_equation_and_liquid_it_was_made(tmp_path, capsys):
     out = tmp_path / "bubble.json"
     bubble = f"simulate --set G=8310,mu=0.093 --physics polytropic --frames 41 --json {out}".split()
@@ -449,55 +432,3 @@ def test_that_the_noise_of_told_files_is_estimated_and_that_of_a_simulated_camer
     args = build_parser().parse_args(["campaign", *about, "--out", "x"])
     read_options(args)
     assert settings_of(args).learner.noise_rounds == rounds
-
-
-CURVE = "".join(f"a,{i}e-6,{(300 - 9 * i if i < 30 else 10 + i) * 1e-6}\n" for i in range(40))
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (
-            ["characterize", "{file}", "--models", "maxwell9"],
-            "Unknown model 'maxwell9'; known are newtonian, nhe, nhkv",
-        ),
-        (
-            ["simulate", "--set", "G=-5,mu=0.1"],
-            r"Parameter 'G' is -5 Pa; expected a value in \[0, 1e\+07\] Pa",
-        ),
-        (
-            ["simulate", "--set", "G=1e4,mu=0.1", "--liquid", "tait"],
-            "--liquid is tait, and --radial keller_miksis is an equation in pressure; leave it out",
-        ),
-        (
-            ["design", "--models", "nhkv", "--we-range", "150,600"],
-            r"--we-range: '150,600' is not LOW:HIGH, for example 0\.15:0\.25",
-        ),
-        (
-            ["design", "--models", "nhkv", "--rinf-range", "0.3:0.2"],
-            r"imr-torch: --rinf-range is \(0\.3, 0\.2\); expected 0 < lower < upper < 1\.",
-        ),
-        (["design", "--belief", "none.json"], r"none\.json: no such file; expected .*folder"),
-        (
-            ["design", "--case", "soft-pa", "--belief", "x.json"],
-            "--belief and --case both name a prior",
-        ),
-        (
-            ["campaign", "--case", "soft-pa", "--out", "{folder}", "--resume"],
-            "holds no journal to resume",
-        ),
-        (
-            ["campaign", "--case", "soft-pa", "--out", "{folder}", "--tell", "{file}"],
-            "give one of the two",
-        ),
-    ],
-    ids=lambda value: "" if isinstance(value, str) else " ".join(value[:1] + value[-2:]),
-)
-def test_bad_input_ends_with_a_message_before_any_work(arguments, message, tmp_path, capsys):
-    file = tmp_path / "good.csv"
-    file.write_text(TABLE + CURVE)
-    names = {"file": file, "folder": tmp_path / "new"}
-    assert main([a.format(**names) for a in arguments]) == 2
-    captured = capsys.readouterr().err
-    assert re.search(message, captured, re.IGNORECASE), captured
-    assert captured.startswith("imr-torch: ")

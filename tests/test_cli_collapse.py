@@ -54,20 +54,6 @@ def test_that_a_table_gives_result_figure_and_page(tmp_path, capsys):
     )
 
 
-def test_that_options_about_curves_are_refused(capsys):
-    assert main(["characterize", str(TABLE), *QUICK, "--population"]) == 2
-    assert (
-        f"--population is about curves, and {TABLE} holds collapse times" in capsys.readouterr().err
-    )
-
-
-def test_that_other_commands_and_unknown_names_are_refused(capsys):
-    assert main(f"diagnose {TABLE} --physics polytropic --quiet".split()) == 2
-    assert "holds collapse times and no curves" in capsys.readouterr().err
-    assert main(["characterize", str(TABLE), *QUICK, "--experiments", "nobody"]) == 2
-    assert "nobody" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(("name", "count"), [("pimr_pa_05", 52), ("pimr_pa_10", 39)])
 def test_that_the_data_carry_their_notice(name, count):
     document = json.loads((DATA / f"{name}.json").read_text())

@@ -2,13 +2,11 @@
 
 import json
 import os
-import re
 import stat
 import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from benchmarks.bad_inputs.trial import Reached, without_fits
@@ -22,46 +20,6 @@ from imr_torch.material import Belief
 EXAMPLE = example_gel()
 QUICK = ["--physics", "polytropic", "--quiet"]
 FIT = [*f"characterize {EXAMPLE} --models nhkv --noise published".split(), *QUICK]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (
-            ["design", "--case", "soft-pa", "--models", "nhkv"],
-            "--models has no effect beside --case",
-        ),
-        (["design", "--models", "nhkv", "--known", "G=1e3,mu=0.1"], "nothing is left to infer"),
-        (
-            ["simulate", "--set", "G=1,G=8310,mu=0.1"],
-            "--set: G is given twice, 1 and 8310; give it once",
-        ),
-        (
-            ["diagnose", "{set}", "--collapses", "3"],
-            "--collapses is about files of curves, and has no effect on sets",
-        ),
-        ([*FIT, "--json", "{folder}"], "--json is .* which is a folder; give another name"),
-        (
-            [*FIT, "--json", "{folder}/" + 300 * "x"],
-            "--json has a name of 300 bytes; give one of 200 at most",
-        ),
-    ],
-)
-def test_that_what_would_be_ignored_or_lost_is_refused_before_any_work(
-    arguments, message, tmp_path, capsys
-):
-    np.savez(
-        tmp_path / "set.npz",
-        time_s=np.zeros((1, 2)),
-        radius_m=np.zeros((1, 1, 2)),
-        we=[300.0],
-        rinf_star=[0.2],
-    )
-    names = {"set": tmp_path / "set.npz", "folder": tmp_path}
-    assert main([a.format(**names) for a in arguments]) == 2
-    said = capsys.readouterr().err
-    assert re.search(message, said), said
-    assert said.count("\n") == 1
 
 
 def test_that_a_known_parameter_is_not_inferred():
@@ -145,10 +103,19 @@ def test_that_files_have_the_usual_mode_and_devices_and_links_stay(tmp_path):
     assert not [name for name in os.listdir(tmp_path) if name.endswith(".tmp")]
 
 
-def test_that_a_folder_that_may_not_be_written_to_is_refused(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("target", "message"),
+    [
+        ("", "--json is .* which is a folder; give another name"),
+        (300 * "x", "--json has a name of 300 bytes; give one of 200 at most"),
+        ("new/fit.json", "may not be written to; give another folder"),
+    ],
+)
+def test_that_a_target_that_cannot_be_written_is_refused(tmp_path, monkeypatch, target, message):
+    """By every command: tests/bad_input/test_command_line.py."""
     monkeypatch.setattr(os, "access", lambda path, mode: False)  # as root, permissions do not bind
-    with pytest.raises(InputDataError, match="may not be written to; give another folder"):
-        check_target(tmp_path / "new" / "fit.json", "--json")
+    with pytest.raises(InputDataError, match=message):
+        check_target(tmp_path / target, "--json")
 
 
 def run(*arguments: str, **more) -> subprocess.CompletedProcess:

@@ -4,7 +4,6 @@ cannot be is refused.
 
 import json
 import math
-import re
 from pathlib import Path
 
 import pytest
@@ -172,31 +171,3 @@ def test_that_a_batch_takes_the_medium_of_each_file_or_that_of_all(tmp_path):
             ]
         )
     assert values == [1150.0, 1100.0, 1150.0]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (
-            "simulate --set G=1,mu=1 --medium density=1060:10",
-            "gives density a standard deviation, and simulate",
-        ),
-        ("characterize {path} --medium beer", "--medium: Unknown medium 'beer'"),
-        (
-            "diagnose {path} --medium density=1060:9 --effects density --rest-radius 0.2:0.1",
-            "is inferred",
-        ),
-        (
-            "campaign --case soft-pa --out {path}.d --medium gelatin_10",
-            "state values alone",
-        ),
-    ],
-)
-def test_that_a_medium_that_cannot_be_is_refused_before_any_work(
-    arguments, message, tmp_path, capsys
-):
-    path = shot(tmp_path)
-    assert main([*arguments.format(path=path).split(), "--quiet"]) == 2
-    said = capsys.readouterr().err
-    assert re.search(message, said), said
-    assert said.count("\n") == 1

@@ -317,5 +317,3 @@ def test_that_plot_refuses_what_it_cannot_draw(tmp_path, capsys):
     write_json(tmp_path / "r.json", header("demo"))
     assert main(["plot", str(tmp_path / "r.json")]) == 2
     assert "holds no curves or map to draw" in capsys.readouterr().err
-    assert main(f"plot {tmp_path}/r.json --format gif".split()) == 2
-    assert "--format is 'gif'; expected some of png, pdf, svg" in capsys.readouterr().err
