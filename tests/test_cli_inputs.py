@@ -13,7 +13,7 @@ from benchmarks.bad_inputs.trial import Reached, without_fits
 from imr_torch import characterize, example_gel, wide_prior
 from imr_torch.cli import main
 from imr_torch.errors import InputDataError
-from imr_torch.files import check_target, write_json
+from imr_torch.files import check_target, read_json, write_json
 from imr_torch.float64 import zeros
 from imr_torch.material import Belief
 
@@ -61,7 +61,7 @@ def test_that_a_fit_keeps_what_is_known_and_takes_the_experiments_that_are_named
     document = tmp_path / "fit.json"
     some = f"--known mu=0.1 --experiments shot_1,shot_3 --json {document}"
     assert main([*FIT, *some.split()]) == 0
-    result = json.loads(document.read_text())
+    result = read_json(document)
     assert [e["id"] for e in result["experiments"]] == ["shot_1", "shot_3"]
     assert list(result["models"]["nhkv"]["intervals"]) == ["G"]
 
@@ -118,26 +118,12 @@ def test_that_a_target_that_cannot_be_written_is_refused(tmp_path, monkeypatch, 
         check_target(tmp_path / target, "--json")
 
 
-def run(*arguments: str, **more) -> subprocess.CompletedProcess:
-    return subprocess.run(
-        [sys.executable, "-m", "imr_torch", *arguments],
-        capture_output=True,
-        text=True,
-        check=False,
-        **more,
-    )
-
-
 def test_that_letters_a_terminal_lacks_do_not_end_the_command(tmp_path):
     table = EXAMPLE.read_text().replace("shot_1", "Schuss_\u00e4")
     (tmp_path / "gel.csv").write_text(table, encoding="utf-8")
-    done = run(
-        "characterize",
-        str(tmp_path / "gel.csv"),
-        "--experiments",
-        "nothing",
-        env=os.environ | {"PYTHONIOENCODING": "ascii"},
-    )
+    words = f"-m imr_torch characterize {tmp_path}/gel.csv --experiments nothing".split()
+    env = os.environ | {"PYTHONIOENCODING": "ascii"}
+    done = subprocess.run([sys.executable, *words], env=env, capture_output=True, text=True)
     assert done.returncode == 2
     assert "Schuss_\\xe4" in done.stderr
     assert "Traceback" not in done.stderr
