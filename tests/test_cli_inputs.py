@@ -1,4 +1,4 @@
-"""Options that would have no effect are refused, targets are checked before any work, and what was finished is kept."""
+"""Targets are checked before any work, and what was finished is kept. Options that would have no effect: benchmarks/bad_inputs/options.txt."""
 
 import json
 import os

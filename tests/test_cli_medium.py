@@ -1,5 +1,5 @@
-"""``--medium`` on the command line: stated values reach the bubbles and the documents, and what
-cannot be is refused.
+"""``--medium`` on the command line: stated values reach the bubbles and the documents. What cannot be
+is refused: benchmarks/bad_inputs/options.txt and stated.py.
 """
 
 import json
