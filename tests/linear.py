@@ -6,9 +6,11 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
+from imr_torch.assimilate import Assimilation, SearchOptions, assimilate
 from imr_torch.float64 import arange, eye, rand, randn, zeros
 from imr_torch.material import PARAMETERS, Belief, ModelBelief, TruncatedNormal, material
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance
+from imr_torch.simulate import Simulator
 from tests.formula import FormulaSimulator
 
 MEANS = {"G": 5000.0, "mu": 0.15, "alpha": 0.4}
@@ -22,6 +24,12 @@ BOTH = Nuisance(time_zero=0.2, rest_radius=0.3)
 
 def tensor(*values) -> Tensor:
     return torch.tensor(values, dtype=torch.float64)
+
+
+def correlation(times: Tensor, decay: float) -> Tensor:
+    """Of noise at those times; none without a decay."""
+    gap = (times[:, None] - times).abs()
+    return torch.exp(-gap / decay) if decay else eye(len(times))
 
 
 _MANY = 1000  # rows from which on those of one Weber number are computed together, which changes the last bits
@@ -193,15 +201,15 @@ def exact(
         nuisance = zeros(frames, 3 * count)
         nuisance[:, 3 * e + 1] = simulator.time_slope * shot.nuisance.time_zero
         nuisance[:, 3 * e + 2] = simulator.rest_slope * shot.design[1] * shot.nuisance.rest_radius
-        gap = (shot.times[:, None] - shot.times).abs()
-        tau = batch.noise.correlation_time
-        correlation = torch.exp(-gap / tau) if tau else eye(frames)
+        covariance = (batch.noise.scale * batch.noise.floor) ** 2 * correlation(
+            shot.times, batch.noise.correlation_time
+        )
         expected = simulator(start, design, shot.times).radius
         for curve in shot.radius:
             observed.append(curve)
             means.append(expected)
             rows.append(torch.cat((columns, nuisance), dim=1))
-            noises.append((batch.noise.scale * batch.noise.floor) ** 2 * correlation)
+            noises.append(covariance)
     y = torch.cat(observed)
     m = torch.cat(means)
     A = torch.cat(rows)
@@ -215,3 +223,20 @@ def exact(
     logdet = 2.0 * root.diagonal().log().sum()
     evidence = -0.5 * float(z.square().sum() + logdet + len(y) * math.log(2.0 * math.pi))
     return Exact(mean[:d], covariance[:d, :d], mean[d:].reshape(count, 3), evidence)
+
+
+def fit_linear(
+    batch: ExperimentBatch,
+    simulator: Simulator | None = None,
+    belief: Belief | None = None,
+    *,
+    seed: int = 1,
+) -> Assimilation:
+    """A fit to simulated curves by the search that tests take; of one model unless said."""
+    return assimilate(
+        belief or prior(("nhkv",)),
+        batch,
+        simulator or LinearSimulator(),
+        seed=seed,
+        options=SearchOptions(raw_samples=24),
+    )

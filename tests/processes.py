@@ -12,6 +12,7 @@ import gc
 import json
 import os
 import runpy
+import shutil
 import signal
 import subprocess
 import sys
@@ -21,32 +22,30 @@ from pathlib import Path
 from types import ModuleType
 
 ROOT = Path(__file__).resolve().parents[1]
+BROWSER = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
+"""Where Chromium is; None where it is not installed."""
 LIBRARIES = (  # dependencies of the package
-    *(
-        "torch",
-        "torchdiffeq",
-        "jaxtyping",
-        "numba",
-        "filelock",
-        "h5py",
-        "pymatreader",
-        "arviz_stats.base.array",
-    ),
-    *(
-        "scipy.stats",
-        "scipy.optimize",
-        "scipy.integrate",
-        "scipy.special",
-        "scipy.io",
-        "matplotlib.pyplot",
-    ),
-    *(
-        "gpytorch.mlls",
-        "botorch.acquisition.logei",
-        "botorch.models",
-        "botorch.fit",
-        "botorch.optim",
-    ),
+    "torch",
+    "torchdiffeq",
+    "jaxtyping",
+    "numba",
+    "filelock",
+    "h5py",
+    "pymatreader",
+    "arviz_stats.base.array",
+    "scipy.stats",
+    "scipy.optimize",
+    "scipy.integrate",
+    "scipy.special",
+    "scipy.io",
+    "matplotlib.pyplot",
+    "gpytorch.mlls",
+    "botorch.acquisition.logei",
+    "botorch.models",
+    "botorch.fit",
+    "botorch.optim",
 )
 
 

@@ -1,13 +1,13 @@
-"""Tables of collapse times on the command line: result, figure and page; options about curves are
-refused beside them.
+"""Tables of collapse times on the command line: result, figure and page. What is refused beside them:
+benchmarks/bad_inputs/collapse_tables.py.
 """
 
-import json
 from pathlib import Path
 
 import pytest
 
 from imr_torch.cli import main
+from imr_torch.files import read_json
 from imr_torch.observe import load_collapse_times
 from imr_torch.results import document_page, draw_figures
 
@@ -32,7 +32,7 @@ def test_that_a_table_gives_result_figure_and_page(tmp_path, capsys):
     )
     assert code == 0
     said = capsys.readouterr().out
-    document = json.loads((out / "characterize.json").read_text())
+    document = read_json(out / "characterize.json")
     assert "13 shot(s) of which the collapse time alone is known" in said
     stated = said[said.index("Medium: density 998.2 kg/m^3, ") :]  # in the JSON beside
     assert stated.index("(polyacrylamide, ") < stated.index("(assumed)")
@@ -54,23 +54,9 @@ def test_that_a_table_gives_result_figure_and_page(tmp_path, capsys):
     )
 
 
-def test_that_options_about_curves_are_refused(capsys):
-    assert main(["characterize", str(TABLE), *QUICK, "--population"]) == 2
-    assert (
-        f"--population is about curves, and {TABLE} holds collapse times" in capsys.readouterr().err
-    )
-
-
-def test_that_other_commands_and_unknown_names_are_refused(capsys):
-    assert main(f"diagnose {TABLE} --physics polytropic --quiet".split()) == 2
-    assert "holds collapse times and no curves" in capsys.readouterr().err
-    assert main(["characterize", str(TABLE), *QUICK, "--experiments", "nobody"]) == 2
-    assert "nobody" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(("name", "count"), [("pimr_pa_05", 52), ("pimr_pa_10", 39)])
 def test_that_the_data_carry_their_notice(name, count):
-    document = json.loads((DATA / f"{name}.json").read_text())
+    document = read_json(DATA / f"{name}.json")
     assert document["licence"] == "BSD-3-Clause, Copyright (c) 2025, Zhiren Zhu"
     assert (
         "Redistributions of source code must retain the above copyright notice"

@@ -1,6 +1,5 @@
 """Extensions of the command line: ``--import``, entry points, and what is refused."""
 
-import json
 import shlex
 import sys
 from dataclasses import replace
@@ -13,6 +12,7 @@ from imr_torch.characterization.batch import BatchOptions
 from imr_torch.cli import build_parser, main
 from imr_torch.cli.options import load_extensions
 from imr_torch.errors import InputDataError
+from imr_torch.files import read_json
 from imr_torch.reading import READERS
 from imr_torch.simulate import process_pool
 
@@ -77,7 +77,7 @@ def test_that_a_model_of_a_file_is_simulated(tmp_path, processes):
     script = "import sys\nfrom imr_torch.cli import main\nsys.exit(main(sys.argv[1:]))"
     ran = processes.run(script, *shlex.split(line), "--import", str(code))
     assert ran.returncode == 0, ran.stderr
-    assert json.loads(bubble.read_text())["model"] == "own_kv"
+    assert read_json(bubble)["model"] == "own_kv"
 
 
 def test_that_an_installed_package_is_an_extension_by_its_entry_point(tmp_path, clean, monkeypatch):

@@ -1,67 +1,25 @@
-"""Options that would have no effect are refused, targets are checked before any work, and what was finished is kept."""
+"""Targets are checked before any work, and what was finished is kept. Options that would have no effect: benchmarks/bad_inputs/options.txt."""
 
 import json
 import os
-import re
 import stat
 import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from benchmarks.bad_inputs.trial import Reached, without_fits
 from imr_torch import characterize, example_gel, wide_prior
 from imr_torch.cli import main
 from imr_torch.errors import InputDataError
-from imr_torch.files import check_target, write_json
+from imr_torch.files import check_target, read_json, write_json
 from imr_torch.float64 import zeros
 from imr_torch.material import Belief
 
 EXAMPLE = example_gel()
 QUICK = ["--physics", "polytropic", "--quiet"]
 FIT = [*f"characterize {EXAMPLE} --models nhkv --noise published".split(), *QUICK]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (
-            ["design", "--case", "soft-pa", "--models", "nhkv"],
-            "--models has no effect beside --case",
-        ),
-        (["design", "--models", "nhkv", "--known", "G=1e3,mu=0.1"], "nothing is left to infer"),
-        (
-            ["simulate", "--set", "G=1,G=8310,mu=0.1"],
-            "--set: G is given twice, 1 and 8310; give it once",
-        ),
-        (
-            ["diagnose", "{set}", "--collapses", "3"],
-            "--collapses is about files of curves, and has no effect on sets",
-        ),
-        ([*FIT, "--json", "{folder}"], "--json is .* which is a folder; give another name"),
-        (
-            [*FIT, "--json", "{folder}/" + 300 * "x"],
-            "--json has a name of 300 bytes; give one of 200 at most",
-        ),
-    ],
-)
-def test_that_what_would_be_ignored_or_lost_is_refused_before_any_work(
-    arguments, message, tmp_path, capsys
-):
-    np.savez(
-        tmp_path / "set.npz",
-        time_s=np.zeros((1, 2)),
-        radius_m=np.zeros((1, 1, 2)),
-        we=[300.0],
-        rinf_star=[0.2],
-    )
-    names = {"set": tmp_path / "set.npz", "folder": tmp_path}
-    assert main([a.format(**names) for a in arguments]) == 2
-    said = capsys.readouterr().err
-    assert re.search(message, said), said
-    assert said.count("\n") == 1
 
 
 def test_that_a_known_parameter_is_not_inferred():
@@ -118,7 +76,7 @@ def test_that_a_fit_keeps_what_is_known_and_takes_the_experiments_that_are_named
     document = tmp_path / "fit.json"
     some = f"--known mu=0.1 --experiments shot_1,shot_3 --json {document}"
     assert main([*FIT, *some.split()]) == 0
-    result = json.loads(document.read_text())
+    result = read_json(document)
     assert [e["id"] for e in result["experiments"]] == ["shot_1", "shot_3"]
     assert list(result["models"]["nhkv"]["intervals"]) == ["G"]
 
@@ -160,32 +118,27 @@ def test_that_files_have_the_usual_mode_and_devices_and_links_stay(tmp_path):
     assert not [name for name in os.listdir(tmp_path) if name.endswith(".tmp")]
 
 
-def test_that_a_folder_that_may_not_be_written_to_is_refused(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("target", "message"),
+    [
+        ("", "--json is .* which is a folder; give another name"),
+        (300 * "x", "--json has a name of 300 bytes; give one of 200 at most"),
+        ("new/fit.json", "may not be written to; give another folder"),
+    ],
+)
+def test_that_a_target_that_cannot_be_written_is_refused(tmp_path, monkeypatch, target, message):
+    """By every command: tests/bad_input/test_command_line.py."""
     monkeypatch.setattr(os, "access", lambda path, mode: False)  # as root, permissions do not bind
-    with pytest.raises(InputDataError, match="may not be written to; give another folder"):
-        check_target(tmp_path / "new" / "fit.json", "--json")
-
-
-def run(*arguments: str, **more) -> subprocess.CompletedProcess:
-    return subprocess.run(
-        [sys.executable, "-m", "imr_torch", *arguments],
-        capture_output=True,
-        text=True,
-        check=False,
-        **more,
-    )
+    with pytest.raises(InputDataError, match=message):
+        check_target(tmp_path / target, "--json")
 
 
 def test_that_letters_a_terminal_lacks_do_not_end_the_command(tmp_path):
     table = EXAMPLE.read_text().replace("shot_1", "Schuss_\u00e4")
     (tmp_path / "gel.csv").write_text(table, encoding="utf-8")
-    done = run(
-        "characterize",
-        str(tmp_path / "gel.csv"),
-        "--experiments",
-        "nothing",
-        env=os.environ | {"PYTHONIOENCODING": "ascii"},
-    )
+    words = f"-m imr_torch characterize {tmp_path}/gel.csv --experiments nothing".split()
+    env = os.environ | {"PYTHONIOENCODING": "ascii"}
+    done = subprocess.run([sys.executable, *words], env=env, capture_output=True, text=True)
     assert done.returncode == 2
     assert "Schuss_\\xe4" in done.stderr
     assert "Traceback" not in done.stderr

@@ -2,7 +2,6 @@
 start.
 """
 
-import json
 import subprocess
 import sys
 from importlib.metadata import version
@@ -19,6 +18,7 @@ from imr_torch.cli import build_parser, demo, main
 from imr_torch.cli.common import METHODS, SIMULATORS
 from imr_torch.cli.options import MEDIA, MODELS, PARTS, read_settings
 from imr_torch.design import Target
+from imr_torch.files import read_json
 from imr_torch.gap import diagnose
 from imr_torch.material import CASES, MATERIALS
 from imr_torch.material import PARTS as KNOWN_PARTS
@@ -130,7 +130,7 @@ def test_that_the_demo_passes_options_on_resumes_and_keeps_other_files(
     assert all(command[-5:] == ["--seed", "0", "--threads", "1", "--quiet"] for command in ran)
     assert (out / "example_gel.csv").read_bytes() == example_gel().read_bytes()
     assert "--resume" not in ran[1]
-    assert len(json.loads((out / "demo.json").read_text())["commands"]) == 2
+    assert len(read_json(out / "demo.json")["commands"]) == 2
     kept.write_text("mine")
     Journal(out / "campaign").append("begin")
     args.again = True

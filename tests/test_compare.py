@@ -209,5 +209,3 @@ def test_that_results_without_a_common_model_are_refused(tmp_path):
         match=r"has the models nhkv and result newtonian; fit a model to both with --models",
     ):
         compare(gel((0.3, 0.0), 0.1), SavedCharacterization.from_dict(document))
-    with pytest.raises(InputDataError, match="--model is 'zener'; both results have nhkv"):
-        compare(gel((0.3, 0.0), 0.1), gel((0.3, 0.0), 0.1), model="zener")

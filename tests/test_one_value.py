@@ -1,27 +1,17 @@
 """One file and one model give one value of each parameter, whatever command is asked."""
 
 import csv
-import json
 import math
-from pathlib import Path
 
 import pytest
 
 from imr_torch.cli import main
+from imr_torch.files import read_json
 from tests.fewer import sum_few_deviations
-from tests.results.documents import GEL, traces
+from tests.results.documents import GEL, traces, write_table
 
 COMMON = ["--medium", "density=1060", "--rest-radius", "0.2:0.002", "--physics", "polytropic"]
 COMMON += ["--quiet"]
-
-
-def write_curves(path: Path) -> None:
-    with open(path, "w", newline="") as file:
-        rows = csv.writer(file)
-        rows.writerow(("experiment_id", "time_s", "radius_m"))
-        for trace in traces(("a", "b", "c"), noise=0.003):
-            for row in zip(trace.time_s.tolist(), trace.radius_m.tolist(), strict=True):
-                rows.writerow((trace.experiment_id, *row))
 
 
 @pytest.fixture(scope="module")
@@ -35,16 +25,15 @@ def cheap_noise():
 def values(tmp_path_factory, cheap_noise):
     """Command -> parameter -> 5, 50, 95 %."""
     here = tmp_path_factory.mktemp("one_value")
-    write_curves(here / "gel.csv")
-    file = str(here / "gel.csv")
+    file = str(write_table(traces(("a", "b", "c"), noise=0.003), here / "gel.csv"))
     model = ["--models", "nhkv", *COMMON]
     of_gel = ["characterize", file, "--population", *model, "--json", str(here / "result.json")]
     assert main(of_gel) == 0
     assert main(["batch", file, *model, *f"--workers 1 --out {here}/batch".split()]) == 0
     tried = ["--effects", "sound_speed", *COMMON, "--json", str(here / "gap.json")]
     assert main(["diagnose", file, *tried]) == 0
-    gel = json.loads((here / "result.json").read_text())
-    gap = json.loads((here / "gap.json").read_text())
+    gel = read_json(here / "result.json")
+    gap = read_json(here / "gap.json")
     assert gel["fit_test"]["explained"]
     assert gap["verdict"] == "none"
     with open(here / "batch" / "summary.csv", newline="") as table:

@@ -17,6 +17,7 @@ from imr_torch.characterization.saved import SavedCharacterization
 from imr_torch.characterization.shared import SharedParameter, infer_shared
 from imr_torch.cli import main
 from imr_torch.errors import InputDataError
+from imr_torch.files import read_json
 from imr_torch.float64 import arange, eye, linspace, randn, tensor, zeros
 from imr_torch.material import PARAMETERS, Belief, LogNormal, Marginal, TruncatedNormal, wide_prior
 from imr_torch.observe import RadiusTrace, TraceSet
@@ -194,7 +195,7 @@ def test_that_the_command_writes_what_python_finds(tmp_path, capsys):
         (tmp_path / f"{number}.json").write_text(json.dumps(gel(datum).document))
     out = str(tmp_path / "out.json")
     assert main(["compare", *paths, "--share", "size_drag", "--json", out]) == 0
-    written = json.loads((tmp_path / "out.json").read_text())
+    written = read_json(tmp_path / "out.json")
     found = infer_shared([SavedCharacterization.load(path) for path in paths], "size_drag")
     assert written["interval"] == found.interval
     text = capsys.readouterr().out

@@ -53,29 +53,12 @@ def prepared(folder: Path) -> None:
     good(folder)
     archive()(folder)
     write_json(folder / "belief.json", wide_prior(["nhkv", "gen_qkv"]).to_dict())
-    told = [
-        "campaign",
-        *MODELS,
-        "--policy",
-        "space-filling",
-        "--repeats",
-        "1",
-        "--out",
-        str(folder / "gel"),
-        *QUICK,
-    ]
-    fit = [
-        "characterize",
-        str(folder / "gel.csv"),
-        *MODELS,
-        "--noise",
-        "published",
-        *QUICK,
-        "--json",
-        str(folder / "fit.json"),
-    ]
+    quiet = " ".join((*MODELS, *QUICK))
+    told = f"campaign {quiet} --policy space-filling --repeats 1 --out {folder / 'gel'}".split()
+    again = [*told, "--resume", "--tell", str(folder / "gel.csv")]
+    fit = f"characterize {folder / 'gel.csv'} {quiet} --noise published --json".split()
     with mock.patch.object(common, "show_result"), mock.patch.dict(METHODS, SMALL):
-        for arguments in (told, [*told, "--resume", "--tell", str(folder / "gel.csv")], fit):
+        for arguments in (told, again, [*fit, str(folder / "fit.json")]):
             with contextlib.redirect_stdout(io.StringIO()):
                 if main(arguments) not in (0, 1):
                     raise SystemExit(f"could not prepare: {arguments}")

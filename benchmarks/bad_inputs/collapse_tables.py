@@ -59,8 +59,9 @@ def collapse_tables() -> Iterator[Case]:
     }.items():
         yield Case("times", f"{name}", TIMED, "times.csv", written(lines))
     whole = written([HEAD, *plain])
-    yield Case("times", "--population", (*TIMED, "--population"), "--population", whole)
-    yield Case("times", "--experiments", (*TIMED, "--experiments=d"), "d", whole)
+    said = "--population is about curves, and times.csv holds collapse times"
+    yield Case("times", "--population", (*TIMED, "--population"), said, whole)
+    yield Case("times", "--experiments", (*TIMED, "--experiments=d"), "No experiment 'd'", whole)
     yield Case("times", "of a medium", (*TIMED, "--medium=water,density=0"), "density", whole)
     for words in (
         ("diagnose", "times.csv", *QUICK),
@@ -71,7 +72,7 @@ def collapse_tables() -> Iterator[Case]:
             "times",
             f"for {words[0]}",
             words,
-            "shots" if words[0] == "batch" else "times",
+            "shots" if words[0] == "batch" else "times.csv: holds collapse times and no curves",
             whole,
         )
 

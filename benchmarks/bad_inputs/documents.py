@@ -74,7 +74,7 @@ def results(result: Path) -> Iterator[Case]:
     )
     for option, about in (
         ("--format=", "--format"),
-        ("--format=gif", "--format"),
+        ("--format=gif", "--format is 'gif'; expected some of png, pdf, svg"),
         ("--out={here}/b.json", "--out"),
         ("--html={here}", "--html"),
     ):
@@ -84,7 +84,7 @@ def results(result: Path) -> Iterator[Case]:
         "result",
         "compare --model x",
         ("compare", "b.json", "b.json", "--quiet", "--model", "x"),
-        "--model",
+        "--model is 'x'; both results have nhkv",
         lambda here: shutil.copy(result, here / "b.json"),
     )
     yield Case(

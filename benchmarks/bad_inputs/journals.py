@@ -15,18 +15,8 @@ from tests.journals import rewritten
 
 def journals(whole: Path) -> Iterator[Case]:
     """Folders of campaigns; ``whole`` is a good one."""
-    base = (
-        "campaign",
-        *MODELS,
-        "--policy",
-        "space-filling",
-        "--repeats",
-        "1",
-        "--out",
-        "{here}/gel",
-        "--resume",
-        *QUICK,
-    )
+    words = ["--policy", "space-filling", "--repeats", "1", "--out", "{here}/gel", "--resume"]
+    base = ("campaign", *MODELS, *words, *QUICK)
     lines = (whole / "journal.jsonl").read_bytes().splitlines(keepends=True)
 
     def case(

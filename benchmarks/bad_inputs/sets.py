@@ -67,6 +67,8 @@ def sets() -> Iterator[Case]:
     }  # fmt: skip
     for name, arrays in wrong.items():
         yield Case("set", name, base, "set.npz", archive(**arrays))
+    said = "--collapses is about files of curves, and has no effect on sets"
+    yield Case("set", "--collapses", (*base, "--collapses=3"), said, archive())
 
     def raw(content: bytes) -> Callable[[Path], object]:
         return lambda here: (here / "set.npz").write_bytes(content)

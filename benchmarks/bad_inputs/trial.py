@@ -124,6 +124,6 @@ def _verdict(
         )
     if reached or code == 0:
         return "handled" if case.damaged else "accepted"
-    usage = said.startswith("usage:")
-    clear = code in case.status and (usage or said.count("\n") == 1) and case.about in said
+    one_line = said.startswith("imr-torch: ") and said.count("\n") == 1
+    clear = code in case.status and (one_line or said.startswith("usage:")) and case.about in said
     return "handled" if clear else "unclear"

@@ -1,10 +1,8 @@
 """The application in a real browser, from the address that the command prints to the downloaded result."""
 
 import contextlib
-import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 import urllib.error
@@ -16,17 +14,11 @@ from pathlib import Path
 import pytest
 
 from imr_torch import example_gel
+from imr_torch.files import read_json
+from tests.processes import BROWSER
 
 pytest.importorskip("nicegui", reason="the extra 'app' is not installed")
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-BROWSER = next(
-    (
-        path
-        for name in ("chromium", "chromium-browser", "google-chrome")
-        if (path := shutil.which(name))
-    ),
-    None,
-)
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")
 FLAGS = [
     "--no-sandbox",
@@ -50,6 +42,9 @@ class App:
     def tab(self, name: str) -> None:
         self.page.get_by_role("tab", name=re.compile(rf"\d {name}")).click()
         self.page.wait_for_timeout(300)
+
+    def press(self, button: str, *, exact: bool = False) -> None:
+        self.page.get_by_role("button", name=button, exact=exact).click()
 
     def sees(self, text: str | re.Pattern[str]) -> None:
         self.page.get_by_text(text).first.wait_for()
@@ -118,7 +113,7 @@ def test_that_bad_files_are_named_and_good_ones_read(app, tmp_path):
     app.page.set_input_files("input[type=file]", files)
     app.sees("4 curve(s)")
     app.sees(re.compile(r"files/bad\.csv: .*"))
-    app.page.get_by_role("button", name="Set bad.csv aside").click()
+    app.press("Set bad.csv aside")
     app.page.get_by_text(re.compile(r"files/bad\.csv: .*")).wait_for(state="detached")
     assert {path.name for path in (app.folder / "files").iterdir()} == {
         "example_gel.csv",
@@ -127,7 +122,7 @@ def test_that_bad_files_are_named_and_good_ones_read(app, tmp_path):
 
 
 def override(app: App) -> dict[str, float]:
-    entries = json.loads((app.folder / "files" / "example_gel.json").read_text())["experiments"]
+    entries = read_json(app.folder / "files" / "example_gel.json")["experiments"]
     return next((entry["override"] for entry in entries if "override" in entry), {})
 
 
@@ -149,7 +144,7 @@ def test_that_a_line_can_be_moved_and_a_value_typed_and_both_taken_back(app):
     app.page.get_by_label("last fitted time (us)").fill("40")
     app.sees(re.compile(r"40 of 67 frames are fitted"))
     assert override(app)["window_end_s"] == pytest.approx(4e-5)
-    app.page.get_by_role("button", name="As found").click()
+    app.press("As found")
     app.sees(re.compile(r"shot_1: Rmax .* \(as given\)"))
     assert override(app) == {}
 
@@ -158,19 +153,19 @@ def test_that_the_medium_is_stated_and_a_wrong_one_refused(app):
     app.tab("Medium")
     field = app.page.get_by_label("density (kg/m^3)", exact=True)
     field.fill("1")
-    app.page.get_by_role("button", name="State it").click()
+    app.press("State it")
     app.sees(re.compile(r"density is 1; expected"))
     field.fill("1040")
     app.page.get_by_label("sd of density").fill("5")
-    app.page.get_by_role("button", name="State it").click()
+    app.press("State it")
     app.sees(re.compile(r"density 1040 \+- 5 kg/m\^3"))
     app.page.get_by_text(re.compile(r"density is 1; expected")).wait_for(state="detached")
-    settings = json.loads((app.folder / "settings.json").read_text())
+    settings = read_json(app.folder / "settings.json")
     assert settings["medium"] == "density=1040:5"
 
 
 def run(app: App) -> None:
-    app.page.get_by_role("button", name="Run", exact=True).click()
+    app.press("Run", exact=True)
     app.page.get_by_role("button", name="Stop").wait_for()  # not the last run's end
     app.page.get_by_role("button", name="See the result").wait_for()
 
@@ -189,7 +184,7 @@ def test_that_a_gel_is_characterised_and_the_page_read_and_everything_downloaded
         )
     )
     run(app)
-    app.page.get_by_role("button", name="See the result").click()
+    app.press("See the result")
     app.page.frame_locator("iframe").get_by_role("heading", name="The gel").wait_for()
     with app.page.expect_download() as download:
         app.page.get_by_text("Download everything (zip)").click()
@@ -201,29 +196,29 @@ def test_that_a_gel_is_characterised_and_the_page_read_and_everything_downloaded
 
 def test_that_the_next_design_builds_on_the_result(app):
     app.tab("Run")
-    app.page.get_by_role("button", name="Next design").click()
+    app.press("Next design")
     app.sees(re.compile(r"design .*--belief results/001_characterize/characterize\.json"))
     app.page.get_by_label("Designs evaluated").fill("3")
     run(app)
-    app.page.get_by_role("button", name="See the result").click()
+    app.press("See the result")
     app.page.frame_locator("iframe").get_by_text(re.compile(r"Shoot We \d+")).wait_for()
-    design = json.loads((app.folder / "results/002_design/design.json").read_text())
+    design = read_json(app.folder / "results/002_design/design.json")
     assert len(design["evaluations"]) == 3
 
 
 def test_that_a_run_can_be_stopped_and_one_without_its_inputs_does_not_begin(app):
     app.tab("Run")
-    app.page.get_by_role("button", name="Compare two").click()
+    app.press("Compare two")
     app.page.get_by_label("Model that is compared").wait_for()
-    app.page.get_by_role("button", name="Run", exact=True).click()
+    app.press("Run", exact=True)
     app.sees("Compare two: The first gel is missing.")
     assert not list(app.folder.glob("results/*_compare"))
-    app.page.get_by_role("button", name="Diagnose").click()
+    app.press("Diagnose")
     app.sees(re.compile(r"imr-torch diagnose files"))
-    app.page.get_by_role("button", name="Run", exact=True).click()
-    app.page.get_by_role("button", name="Stop").click()
+    app.press("Run", exact=True)
+    app.press("Stop")
     app.sees(re.compile(r"003_diagnose: stopped"))
-    assert json.loads((app.folder / "results/003_diagnose/run.json").read_text())["status"] == 130
+    assert read_json(app.folder / "results/003_diagnose/run.json")["status"] == 130
 
 
 @pytest.mark.parametrize("width", [400, 1280])

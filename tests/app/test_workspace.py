@@ -1,6 +1,5 @@
 """The folder of the application keeps every file, and says of each whether it can be used."""
 
-import json
 from pathlib import Path
 
 import pytest
@@ -8,6 +7,7 @@ import pytest
 from imr_torch import example_gel, load_traces
 from imr_torch.app.workspace import LARGEST_FILE, Workspace, check_name
 from imr_torch.errors import InputDataError
+from imr_torch.files import read_json
 from imr_torch.observe import prepare
 
 
@@ -112,7 +112,7 @@ def test_that_what_is_stated_is_what_the_commands_read(tmp_path):
     assert made.view_curve("shot_2", 2).landmarks.rest_method == "as stated"
     (entry,) = [
         e
-        for e in json.loads((made.files_folder / "example_gel.json").read_text())["experiments"]
+        for e in read_json(made.files_folder / "example_gel.json")["experiments"]
         if "override" in e
     ]
     assert (entry["experiment_id"], entry["override"]) == (

@@ -43,6 +43,8 @@ class WavySimulator(FormulaSimulator):
         return torch.full(parameters.shape[:1], self.fails)
 
 
+STARTS = [torch.stack((torch.zeros(k), torch.full((k,), 0.1))).double() for k in (1, 2)]
+"""Of a model of one parameter and of one of two."""
 TRUTH = tensor([[0.0, 0.4, 0.2], [0.0, -0.7, -0.5], [0.0, 0.1, 0.6]])
 
 
@@ -57,6 +59,14 @@ def shot(nuisance: Nuisance) -> ExperimentBatch:
         radius = NOISE.draw(curve[: len(e.times)], e.times, 2, generator=source)
         made.append(Experiment(e.label, e.design, e.times, radius, nuisance))
     return ExperimentBatch(tuple(made), NOISE)
+
+
+def without_noise(plans: tuple[Experiment, ...], curves: Tensor, noise: Noise) -> ExperimentBatch:
+    """Experiments that show exactly these curves, under a noise that is stated."""
+    made = zip(plans, curves, strict=True)
+    return ExperimentBatch(
+        tuple(replace(e, radius=curve[None, : len(e.times)]) for e, curve in made), noise
+    )
 
 
 def deepest(
@@ -102,10 +112,7 @@ def test_that_a_model_far_behind_a_narrower_one_takes_its_nuisances():
     plan = experiments(3, nuisance=BOTH)
     gel = PARAMETERS.pack({"mu": tensor(MEANS["mu"])})
     clean = predict(WavySimulator(), gel, plan, TRUTH * plan.nuisance_sds)
-    made = zip(plan.experiments, clean, strict=True)
-    batch = ExperimentBatch(
-        tuple(replace(e, radius=curve[None, : len(e.times)]) for e, curve in made), NOISE
-    )
+    batch = without_noise(plan.experiments, clean, NOISE)
 
     def cost_of_wider(rounds: int) -> float:
         fits = assimilate(
@@ -114,7 +121,7 @@ def test_that_a_model_far_behind_a_narrower_one_takes_its_nuisances():
             WavySimulator(),
             seed=0,
             options=SearchOptions(starts=2, drop_behind=1.0, basin_rounds=rounds),
-            starts=[torch.stack((torch.zeros(k), torch.full((k,), 0.1))).double() for k in (1, 2)],
+            starts=STARTS,
             nuisances=[TRUTH.expand(2, -1, -1), off([1.0, 0.0, -1.0]).expand(2, -1, -1)],
             warn=False,
         )
@@ -139,10 +146,7 @@ def test_that_draws_know_further_basins_and_integrate_over_them():
     sure = Experiment("1", (350.0, 0.25), times[:5], ones(1, 5))
     blanks = (blank, sure)  # the clock of the second is known
     curves = predict(simulator, mean, ExperimentBatch(blanks))
-    made = zip(blanks, curves, strict=True)
-    batch = ExperimentBatch(
-        tuple(replace(e, radius=curve[None, : len(e.times)]) for e, curve in made), LOUD
-    )
+    batch = without_noise(blanks, curves, LOUD)
     fits = assimilate(
         belief, batch, simulator, seed=0, options=SearchOptions(starts=2, raw_samples=16)
     )
@@ -186,7 +190,6 @@ def test_that_a_search_ends_in_the_deepest_basin_wherever_it_began(drop_behind):
     batch = shot(BOTH)
     belief = prior(("newtonian", "nhkv"))
     options = SearchOptions(starts=2, drop_behind=drop_behind)
-    starts = [torch.stack((torch.zeros(k), torch.full((k,), 0.1))).double() for k in (1, 2)]
 
     def fit(periods: list[float], rounds: int = 3):
         nuisances = [off(periods)] * 2
@@ -196,7 +199,7 @@ def test_that_a_search_ends_in_the_deepest_basin_wherever_it_began(drop_behind):
             WavySimulator(),
             seed=0,
             options=replace(options, basin_rounds=rounds),
-            starts=starts,
+            starts=STARTS,
             nuisances=nuisances,
             warn=False,
         )

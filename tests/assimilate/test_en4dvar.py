@@ -14,7 +14,7 @@ from imr_torch.assimilate import (
 )
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.float64 import linspace, rand, randn
-from imr_torch.material import PARAMETERS, Belief, reference_case
+from imr_torch.material import Belief, reference_case
 from imr_torch.observe import ExperimentBatch, Noise, Nuisance, SimulatedLaboratory
 from imr_torch.random import child, generator
 from imr_torch.simulate import PolytropicSimulator
@@ -114,4 +114,3 @@ def test_that_a_search_from_an_earlier_fit_stays_there():
     again = assimilate_en4dvar(belief, batch, LinearSimulator(), seed=1, near=first)
     assert_close(again.fits[0].mean, first.fits[0].mean, rtol=0.0, atol=1e-6)
     assert "cycles agree within" in str(again.fits[0].certificate)
-    assert PARAMETERS.names[0] == "G"

@@ -7,6 +7,7 @@ import math
 import pytest
 import torch
 from scipy import special
+from torch import Tensor
 
 from imr_torch.assimilate.importance import (
     ImportanceSample,
@@ -15,7 +16,7 @@ from imr_torch.assimilate.importance import (
     smooth_tail,
 )
 from imr_torch.assimilate.proposals import Kernels
-from imr_torch.float64 import arange, linspace, rand, randn, zeros
+from imr_torch.float64 import arange, eye, linspace, rand, randn, zeros
 from imr_torch.random import generator
 from tests.curved import mean_error, sd_error
 from tests.linear import tensor
@@ -72,6 +73,22 @@ def test_that_reliable_weights_have_a_light_tail_and_a_tenth_of_them_counts(
     assert are_reliable(shape, effective, samples) == verdict
 
 
+def sample_of(
+    draws: Tensor,
+    prior: Tensor,
+    likelihood: Tensor,
+    proposal: Tensor,
+    about: tuple[Tensor, Tensor] | None = None,
+) -> ImportanceSample:
+    """Weighted draws of one experiment without nuisances, by log densities; ``about`` a Gaussian."""
+    count, size = draws.shape
+    mean, chol = about or (zeros(size), eye(size))
+    still = zeros(count, 1, 3)
+    return ImportanceSample(
+        draws, prior, likelihood, proposal, still, mean, chol, first_shape=0.0, rounds=1
+    )
+
+
 def gaussian_sample(scale: float, seed: int, count: int = 1000) -> ImportanceSample:
     """A posterior ``N((1, -2), C C^T)`` times ``e^-7``, with the proposal ``scale`` times as wide."""
     proposal = Kernels.about_mean(MEAN, scale * CHOL)
@@ -79,10 +96,7 @@ def gaussian_sample(scale: float, seed: int, count: int = 1000) -> ImportanceSam
     target = torch.distributions.MultivariateNormal(MEAN, scale_tril=CHOL).log_prob(controls) - 7.0
     prior = -0.5 * controls.square().sum(1) - math.log(2.0 * math.pi)
     likelihood = (target - prior)[:, None]
-    still = zeros(count, 1, 3)
-    return ImportanceSample(
-        controls, prior, likelihood, proposal.log_prob(controls), still, MEAN, scale * CHOL, 0.0, 1
-    )
+    return sample_of(controls, prior, likelihood, proposal.log_prob(controls), (MEAN, scale * CHOL))
 
 
 def test_that_moments_and_evidence_of_a_gaussian_come_out_within_their_errors():
@@ -101,7 +115,6 @@ def test_that_draws_correct_the_gaussian_about_the_mode_of_a_skewed_posterior():
     di- and trigamma functions.
     """
     shape = 8.0
-    zero = zeros(1)
     mode = torch.log(tensor(shape))
     chol = tensor([shape**-0.5])
     mean = special.digamma(shape)
@@ -112,9 +125,8 @@ def test_that_draws_correct_the_gaussian_about_the_mode_of_a_skewed_posterior():
         proposal = Kernels.about_mean(mode, chol)
         draws = proposal.draw_points(256, generator(seed))
         target = shape * draws - draws.exp()
-        still = zeros(256, 1, 3)
-        sample = ImportanceSample(
-            draws, 0.0 * target[:, 0], target, proposal.log_prob(draws), still, zero, chol, 0.0, 1
+        sample = sample_of(
+            draws, 0.0 * target[:, 0], target, proposal.log_prob(draws), (zeros(1), chol)
         )
         centre, scale = sample.correct_gaussian(mode, chol)
         found.append((float(centre), float(scale)))
@@ -126,13 +138,10 @@ def test_that_draws_correct_the_gaussian_about_the_mode_of_a_skewed_posterior():
     assert bool((moments.std(0) < 0.8 * plain.std(0)).all())
 
 
-def test_that_stated_errors_are_the_scatter_over_seeds():
+def test_that_errors_of_moments_are_the_scatter_over_seeds():
+    """That of the evidence: tests/select/test_evidence.py."""
     samples = [gaussian_sample(1.0, seed, 200) for seed in range(150)]
     for value, error in (
-        (
-            tensor(*[s.log_evidence for s in samples]),
-            tensor(*[s.log_evidence_error for s in samples]),
-        ),
         (
             torch.stack([s.mean[0] for s in samples]),
             torch.stack([mean_error(s)[0] for s in samples]),
@@ -168,19 +177,7 @@ def test_that_the_error_of_an_evidence_whose_draws_are_not_reliable_covers_it(va
         log_proposal = -0.5 * (draws.square() / variance + math.log(2.0 * math.pi * variance)).sum(
             1
         )
-        zero = zeros(count)
-        still = torch.zeros(count, 1, 3)
-        sample = ImportanceSample(
-            draws,
-            log_target,
-            zero[:, None],
-            log_proposal,
-            still,
-            torch.zeros(size),
-            torch.eye(size),
-            first_shape=0.0,
-            rounds=1,
-        )
+        sample = sample_of(draws, log_target, zeros(count, 1), log_proposal)
         spread = float(count * sample.weights.std() / math.sqrt(count))
         if sample.reliable:
             assert sample.log_evidence_error == spread
@@ -210,17 +207,7 @@ def test_that_power_sensitivities_are_those_of_a_conjugate_posterior(datum, nois
     prior = torch.distributions.Normal(0.0, 1.0).log_prob(controls[:, 0])
     likelihood = torch.distributions.Normal(datum, noise).log_prob(controls)
     exact = torch.distributions.Normal(mean, sd).log_prob(controls[:, 0])
-    sample = ImportanceSample(
-        controls,
-        prior,
-        likelihood,
-        exact,
-        torch.zeros(4000, 1, 3),
-        torch.zeros(1),
-        torch.eye(1),
-        first_shape=0.0,
-        rounds=1,
-    )
+    sample = sample_of(controls, prior, likelihood, exact)
     by_prior = max(mean / precision / sd, 0.5 / precision)
     by_data = max(datum * inverse / precision**2 / sd, 0.5 * inverse / precision)
     found = sample.power_sensitivities[:, 0].tolist()

@@ -38,20 +38,13 @@ class Circle(LinearSimulator):
     Newton's, so each of their steps goes only that share of the way.
     """
 
-    def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
-        made = super().__call__(parameters, designs, times)
+    def formula(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Tensor:
         stiff, turn = (
-            (parameters[..., PARAMETERS.index([n])[0], None] - MEANS[n]) / SDS[n]
-            for n in ("G", "mu")
+            (parameters[:, PARAMETERS.index([n])] - MEANS[n]) / SDS[n] for n in ("G", "mu")
         )
         phase = 2.0 * math.pi * torch.arange(times.shape[-1]) / 12
-        radius = (
-            0.6 + 0.3 * times + 0.1 * torch.cos(phase - turn) + 0.02 * stiff * torch.cos(2 * phase)
-        )
-        return replace(made, radius=torch.where(made.radius.isfinite(), radius, torch.nan))
-
-    def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
-        return self(parameters, designs, times)
+        turning = 0.1 * torch.cos(phase - turn) + 0.02 * stiff * torch.cos(2 * phase)
+        return 0.6 + 0.3 * times + turning
 
 
 class Rough(Circle):
@@ -61,7 +54,8 @@ class Rough(Circle):
         return self._rough(super().__call__(parameters, designs, times), parameters)
 
     def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
-        return self._rough(super().__call__(parameters, designs, times), parameters[..., :1, :])
+        smooth = super().__call__(parameters, designs, times)
+        return self._rough(smooth, parameters[..., :1, :])
 
     def _rough(self, made: Solution, leader: Tensor) -> Solution:
         stiff = (leader[..., PARAMETERS.index(["G"])[0], None] - MEANS["G"]) / SDS["G"]

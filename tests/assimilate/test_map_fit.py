@@ -48,8 +48,11 @@ def fitted(
     *,
     seed: int = 1,
     options: SearchOptions = OPTIONS,
+    **how,
 ):
-    return assimilate(belief, batch, simulator or LinearSimulator(), seed=seed, options=options)
+    return assimilate(
+        belief, batch, simulator or LinearSimulator(), seed=seed, options=options, **how
+    )
 
 
 def assert_exact(fit: ModelFit, truth: Exact, *, atol: float = 3e-7) -> None:
@@ -113,15 +116,7 @@ def test_that_a_search_that_begins_at_the_answer_with_its_nuisances_stays_there(
             "starts": [torch.stack((fit.mean, fit.mean))],
             "nuisances": [fit.nuisances] if known else None,
         }
-        again = assimilate(
-            belief,
-            batch,
-            LinearSimulator(),
-            seed=2,
-            options=OPTIONS,
-            progress=lines.append,
-            **begin,
-        ).fits[0]
+        again = fitted(belief, batch, seed=2, progress=lines.append, **begin).fits[0]
         assert again.cost == pytest.approx(fit.cost, abs=1e-6)
     gradient = {known: float(lines[0].split()[-1]) for known, lines in said.items()}
     assert gradient[True] < 1e-3 < 0.1 < gradient[False]
@@ -133,9 +128,7 @@ def test_that_a_single_start_reaches_the_minimum_and_is_not_certified(drop_behin
     batch = experiments(3, nuisance=BOTH)
     options = replace(OPTIONS, drop_behind=drop_behind)
     starts = [full((1, len(belief.models[0].names)), 0.5)]
-    fit = assimilate(
-        belief, batch, LinearSimulator(), seed=2, options=options, starts=starts, warn=False
-    ).fits[0]
+    fit = fitted(belief, batch, seed=2, options=options, starts=starts, warn=False).fits[0]
     assert fit.cost == pytest.approx(fitted(belief, batch).fits[0].cost, abs=1e-6)
     assert fit.certificate.gradient < options.gradient
     assert fit.certificate.agreement == math.inf
@@ -144,13 +137,7 @@ def test_that_a_single_start_reaches_the_minimum_and_is_not_certified(drop_behin
 
 def test_that_no_start_at_all_is_refused():
     with pytest.raises(ShapeError, match="a row or more"):
-        assimilate(
-            prior(("nhkv",)),
-            experiments(1),
-            LinearSimulator(),
-            seed=0,
-            starts=[zeros(0, 2)],
-        )
+        fitted(prior(("nhkv",)), experiments(1), starts=[zeros(0, 2)])
 
 
 def test_that_repeats_count_as_often_as_they_were_made():
@@ -253,9 +240,7 @@ def test_that_among_models_the_other_starts_of_a_model_with_several_minima_follo
 
     def cost(starts: Tensor, *, sifted: int | None = None) -> float:
         options = SearchOptions(drop_behind=0.1, descent=DescentOptions(sifted=sifted))
-        found = assimilate(
-            belief, batch, WavySimulator(), seed=1, options=options, starts=[good, starts]
-        )
+        found = fitted(belief, batch, WavySimulator(), options=options, starts=[good, starts])
         assert (
             found["gen_qkv"].cost - found["nhkv"].cost > 0.1
         )  # further behind than a second start may lag
@@ -284,27 +269,16 @@ def test_that_a_fit_that_converged_says_so_and_does_not_warn():
 
 
 def test_that_a_fit_that_was_cut_short_warns_and_says_so():
+    short = replace(OPTIONS, iterations=1)
     with pytest.warns(ConvergenceWarning, match=r"NHKV: NOT CONVERGED \(gradient") as caught:
-        result = fitted(
-            prior(("nhkv",)),
-            experiments(3),
-            WavySimulator(),
-            options=replace(OPTIONS, iterations=1),
-        )
+        result = fitted(prior(("nhkv",)), experiments(3), WavySimulator(), options=short)
     assert not result.converged
     assert caught[0].filename == __file__  # where assimilate was called
     assert result.fits[0].certificate.iterations == 1
     assert result.fits[0].certificate.gradient > OPTIONS.gradient
-
-
-def test_that_a_caller_who_reads_certificates_is_not_warned():
-    options = replace(OPTIONS, iterations=1)
     with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        result = assimilate(
-            prior(("nhkv",)), experiments(3), WavySimulator(), seed=1, options=options, warn=False
-        )
-    assert not result.converged
+        warnings.simplefilter("error")  # a caller who reads certificates is not warned
+        fitted(prior(("nhkv",)), experiments(3), WavySimulator(), options=short, warn=False)
 
 
 def test_that_a_simulator_that_always_fails_is_a_convergence_error():

@@ -37,6 +37,12 @@ def fitted(batch: ExperimentBatch) -> Assimilation:
     return assimilate(PRIOR, batch, SIMULATOR, seed=0, options=OPTIONS)
 
 
+def estimated(batch: ExperimentBatch, simulator=SIMULATOR, *, seed: int = 0, rounds: int = 1):
+    return assimilate_estimating_noise(
+        PRIOR, batch, simulator, rounds=rounds, seed=seed, options=OPTIONS, warn=False
+    )
+
+
 def nodes_of(batch: ExperimentBatch) -> NoiseNodes:
     return NoiseNodes.about_fit(
         KNOWN, Posterior(PART, batch, SIMULATOR).neighbourhood(fitted(batch)["nhkv"].point)
@@ -107,9 +113,7 @@ def test_that_intervals_over_the_noise_cover_where_plugged_in_ones_are_narrower(
     wider = []
     for seed in range(40):
         batch, gel = film(1000 + seed)
-        fits = assimilate_estimating_noise(
-            PRIOR, batch, SIMULATOR, rounds=1, seed=seed, options=OPTIONS, warn=False
-        )
+        fits = estimated(batch, seed=seed)
         sds = []
         for kind, noise in (("plugged", None), ("integrated", noise_nodes(fits, SIMULATOR))):
             belief = weigh(fits, SIMULATOR, seed=seed, samples=128, noise=noise)["nhkv"].posterior
@@ -129,9 +133,7 @@ def test_that_intervals_beside_residuals_that_drift_hold_and_those_of_independen
     inside: dict[str, list[bool]] = {"independent": [], "widened": []}
     for seed in range(25):
         batch, gel = drifting(seed)
-        fits = assimilate_estimating_noise(
-            PRIOR, batch, Slow(), rounds=1, seed=seed, options=OPTIONS, warn=False
-        )
+        fits = estimated(batch, Slow(), seed=seed)
         law = fits.batch.noise
         assert (law.correlation_time, law.widened > 1.5) == (0.0, True)
         for kind, one in (("independent", law.of_frames), ("widened", law)):
@@ -156,9 +158,7 @@ def test_that_intervals_stay_as_they_are_where_frames_are_independent(repeats, f
     factors = []
     for seed in range(16):
         batch = independent(seed, repeats)
-        fits = assimilate_estimating_noise(
-            PRIOR, batch, Slow(), rounds=1, seed=seed, options=OPTIONS, warn=False
-        )
+        fits = estimated(batch, Slow(), seed=seed)
         factors.append(fits.batch.noise.widened)
     assert sorted(factors)[8] < 1.05
     assert sum(factor > 1.3 for factor in factors) <= 2
@@ -173,9 +173,7 @@ def test_that_repeats_tell_a_misfit_from_noise():
     moved = replace(
         batch, experiments=tuple(replace(e, radius=e.radius + bent) for e in batch.experiments)
     )
-    fits = assimilate_estimating_noise(
-        PRIOR, moved, Slow(), rounds=2, seed=0, options=OPTIONS, warn=False
-    )
+    fits = estimated(moved, Slow(), rounds=2)
     level = float(
         fits.batch.of_frames.noise.sd(tensor(0.5), tensor(1.0)) / NOISE.sd(tensor(0.5), tensor(1.0))
     )

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.testing import assert_close
 
-from imr_torch.assimilate import Point, Posterior, SearchOptions, assimilate
+from imr_torch.assimilate import Point, Posterior
 from imr_torch.float64 import randn
 from imr_torch.observe import ExperimentBatch, Nuisance
 from imr_torch.random import generator
@@ -24,6 +24,7 @@ from tests.linear import (
     LinearSimulator,
     exact,
     experiments,
+    fit_linear,
     prior,
     tensor,
 )
@@ -111,8 +112,7 @@ def test_that_the_log_joint_can_be_sampled_by_hamiltonian_monte_carlo():
     infer = pytest.importorskip("pyro.infer", reason="needs the extra nuts")
     simulator = CurvedSimulator(1.5)
     batch = experiments(1)
-    options = SearchOptions(raw_samples=24)
-    fit = assimilate(prior(("nhkv",)), batch, simulator, seed=1, options=options).fits[0]
+    fit = fit_linear(batch, simulator).fits[0]
     posterior = Posterior(fit.prior, batch, simulator)
     middle = posterior.coordinates_of(fit.point)
     chol = fit.joint_chol(posterior.uncertain)

@@ -6,13 +6,11 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from imr_torch.assimilate import Posterior, SearchOptions, Verdict, assimilate, weigh
+from imr_torch.assimilate import Posterior, Verdict, weigh
 from imr_torch.assimilate.ridge import trace_ridge
 from imr_torch.observe import Nuisance
 from tests.curved import CurvedSimulator, mean_error, quadrature, sd_error
-from tests.linear import LinearSimulator, experiments, prior
-
-OPTIONS = SearchOptions(raw_samples=24)
+from tests.linear import LinearSimulator, experiments, fit_linear
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -22,7 +20,7 @@ def test_that_a_bent_posterior_is_covered_to_its_ends(bend, seed):
     simulator = CurvedSimulator(bend, mute=0.05)
     batch = experiments(3)
     fit = weigh(
-        assimilate(prior(("nhkv",)), batch, simulator, seed=seed, options=OPTIONS),
+        fit_linear(batch, simulator, seed=seed),
         simulator,
         seed=seed,
     ).fits[0]
@@ -44,7 +42,7 @@ def test_that_nuisances_go_along_the_ridge():
     nuisance = Nuisance(time_zero=0.2, rest_radius=0.3)
     simulator = CurvedSimulator(0.7, mute=0.1)
     batch = experiments(2, nuisance=nuisance)
-    fits = assimilate(prior(("nhkv",)), batch, simulator, seed=1, options=OPTIONS)
+    fits = fit_linear(batch, simulator)
     proposal = trace_ridge(fits.fits[0], Posterior(fits.fits[0].prior, batch, simulator))
     assert float(proposal.weights[0]) < 2e-3
     assert float(proposal.weights[-2]) < 2e-3
@@ -53,7 +51,7 @@ def test_that_nuisances_go_along_the_ridge():
 
 def test_that_failing_bubbles_end_one_side():
     batch = experiments(2)
-    (fit,) = assimilate(prior(("nhkv",)), batch, LinearSimulator(), seed=1, options=OPTIONS).fits
+    (fit,) = fit_linear(batch).fits
     whole = trace_ridge(fit, Posterior(fit.prior, batch, LinearSimulator()))
     top = float(fit.parameters(fit.mean)[0])
     one_sided = trace_ridge(
@@ -70,9 +68,7 @@ def test_that_a_repaired_belief_hands_on_a_cloud_with_the_width_that_it_has_loca
     """
     batch = experiments(3)
     bent, straight = (
-        weigh(assimilate(prior(("nhkv",)), batch, s, seed=0, options=OPTIONS), s, seed=0)
-        .fits[0]
-        .posterior
+        weigh(fit_linear(batch, s, seed=0), s, seed=0).fits[0].posterior
         for s in (CurvedSimulator(1.5, mute=0.05), CurvedSimulator(0.0, mute=0.05))
     )
     assert straight.cloud is None

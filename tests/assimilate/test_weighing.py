@@ -12,6 +12,7 @@ from torch.testing import assert_close
 
 from imr_torch.assimilate import (
     Assimilation,
+    ModelFit,
     Posterior,
     SearchOptions,
     Verdict,
@@ -25,18 +26,17 @@ from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.float64 import ones
 from imr_torch.observe import ExperimentBatch
 from tests.curved import CurvedSimulator, mean_error, quadrature, sd_error
-from tests.linear import BOTH, NOISE, LinearSimulator, exact, experiments, prior
-
-OPTIONS = SearchOptions(raw_samples=24)
+from tests.linear import BOTH, NOISE, LinearSimulator, exact, experiments, fit_linear, prior
 
 
-def fitted(batch: ExperimentBatch, simulator=None, models=("nhkv",)) -> Assimilation:
-    return assimilate(prior(models), batch, simulator or LinearSimulator(), seed=1, options=OPTIONS)
+def weighed(assimilation: Assimilation, simulator=None, **how) -> ModelFit:
+    """Its one fit with weighted draws."""
+    return weigh(assimilation, simulator or LinearSimulator(), seed=0, **how).fits[0]
 
 
 @pytest.fixture(scope="module")
 def simple():
-    return fitted(experiments(3, nuisance=BOTH))
+    return fit_linear(experiments(3, nuisance=BOTH))
 
 
 def changed(assimilation: Assimilation, **fields) -> Assimilation:
@@ -54,7 +54,7 @@ def assert_moments(sample, truth) -> Tensor:
 
 def test_that_a_gaussian_posterior_is_trusted_in_one_round(simple):
     before = simple.fits[0]
-    after = weigh(simple, LinearSimulator(), seed=0).fits[0]
+    after = weighed(simple)
     assert before.verdict is Verdict.UNCHECKED
     assert before.trust.startswith("no draws were weighted")
     assert after.verdict is Verdict.TRUSTED
@@ -85,7 +85,7 @@ def test_that_a_wrong_gaussian_is_repaired_to_the_exact_posterior(simple, width,
     truth = exact(simple.prior.models[0], simple.batch)
     mean = fit.mean + shift * fit.chol[:, 0]
     wrong = changed(simple, mean=mean, chol=width * fit.chol, nuisances=fit.nuisances_at(mean))
-    right = weigh(wrong, LinearSimulator(), seed=0, samples=256, rounds=8).fits[0]
+    right = weighed(wrong, samples=256, rounds=8)
     sample = right.sample
     assert right.verdict is Verdict.REPAIRED
     assert "repaired" in right.trust
@@ -101,7 +101,7 @@ def test_that_a_wrong_gaussian_is_repaired_to_the_exact_posterior(simple, width,
 
 def test_that_a_gaussian_far_too_narrow_shows_a_heavy_tail(simple):
     narrow = changed(simple, chol=0.05 * simple.fits[0].chol)
-    once = weigh(narrow, LinearSimulator(), seed=0, rounds=1).fits[0]
+    once = weighed(narrow, rounds=1)
     assert once.sample.first_shape > 0.7
     assert once.verdict is Verdict.REFUSED
     assert once.trust.startswith("intervals not reliable: quote none of this model (k ")
@@ -116,7 +116,7 @@ def test_that_nuisances_are_integrated_out_even_where_their_gaussian_is_wrong(si
     """A conditional Gaussian of the nuisances that is too wide or too narrow costs samples and changes no answer."""
     wrong = changed(simple, nuisance_chol=simple.fits[0].nuisance_chol / width)
     truth = exact(simple.prior.models[0], simple.batch)
-    sample = weigh(wrong, LinearSimulator(), seed=0, samples=2048, rounds=1).fits[0].sample
+    sample = weighed(wrong, samples=2048, rounds=1).sample
     assert bool(((sample.mean - truth.mean).abs() < 4.0 * mean_error(sample)).all())
     assert sample.log_evidence == pytest.approx(
         truth.log_evidence, abs=4.0 * sample.log_evidence_error
@@ -126,7 +126,7 @@ def test_that_nuisances_are_integrated_out_even_where_their_gaussian_is_wrong(si
 
 
 def test_that_kept_nuisances_are_draws_of_their_posterior(simple):
-    sample = weigh(simple, LinearSimulator(), seed=0, samples=2048).fits[0].sample
+    sample = weighed(simple, samples=2048).sample
     truth = exact(simple.prior.models[0], simple.batch)
     mean = (sample.weights[:, None, None] * sample.nuisances).sum(0)
     assert_close(mean, truth.nuisances, rtol=0.0, atol=0.1)
@@ -137,7 +137,7 @@ def test_that_kept_nuisances_are_draws_of_their_posterior(simple):
 def test_that_moments_of_a_curved_posterior_equal_quadrature(bend):
     simulator = CurvedSimulator(bend)
     batch = experiments(1)
-    fit = weigh(fitted(batch, simulator), simulator, seed=0, samples=1024, rounds=6).fits[0]
+    fit = weighed(fit_linear(batch, simulator), simulator, samples=1024, rounds=6)
     truth = quadrature(fit, batch, simulator)
     sample = fit.sample
     assert fit.verdict is (Verdict.REPAIRED if bend else Verdict.TRUSTED)
@@ -154,7 +154,7 @@ def test_that_moments_of_a_curved_posterior_equal_quadrature(bend):
 def test_that_quantiles_of_a_curved_posterior_are_those_of_its_draws_and_not_of_a_gaussian():
     simulator = CurvedSimulator(1.5)
     batch = experiments(1)
-    fit = weigh(fitted(batch, simulator), simulator, seed=0, samples=4096, rounds=6).fits[0]
+    fit = weighed(fit_linear(batch, simulator), simulator, samples=4096, rounds=6)
     assert fit.verdict is Verdict.REPAIRED
     truth = quadrature(fit, batch, simulator)
     levels = [0.05, 0.5, 0.95]
@@ -165,23 +165,15 @@ def test_that_quantiles_of_a_curved_posterior_are_those_of_its_draws_and_not_of_
 
 
 def test_that_the_draws_of_a_model_do_not_depend_on_company():
-    both = fitted(experiments(2, nuisance=BOTH), models=("newtonian", "nhkv"))
+    both = fit_linear(experiments(2, nuisance=BOTH), belief=prior(("newtonian", "nhkv")))
     together = weigh(both, LinearSimulator(), seed=0)["nhkv"].sample
     (alone,) = weigh(replace(both, fits=(both["nhkv"],)), LinearSimulator(), seed=0).fits
     for name in ("controls", "by_experiment", "nuisances"):
         assert_close(getattr(alone.sample, name), getattr(together, name))
 
 
-def test_that_failed_draws_weigh_nothing_and_all_failed_is_an_error(simple):
-    fit = simple.fits[0]
-    middle = float(fit.parameters(fit.mean)[0])
-    sample = (
-        weigh(simple, LinearSimulator(limit={"G": middle}), seed=0, samples=1024, rounds=1)
-        .fits[0]
-        .sample
-    )
-    assert sample.failed == pytest.approx(512, abs=80)
-    assert float(sample.weights[torch.isinf(sample.log_weights)].sum()) == 0.0
+def test_that_draws_of_which_all_fail_are_an_error(simple):
+    """That some which fail weigh nothing: tests/select/test_evidence.py."""
     with pytest.raises(ConvergenceError, match=r"nhkv: none of 256 draws could be simulated"):
         weigh(simple, LinearSimulator(fails=True), seed=0)
 
@@ -197,7 +189,7 @@ def test_that_the_noise_of_the_weights_alone_condemns_nothing():
     makes is taken off.
     """
     batch = ExperimentBatch(experiments(1).experiments, NOISE)
-    fit = fitted(batch, models=("gen_qkv",))
+    fit = fit_linear(batch, belief=prior(("gen_qkv",)))
     verdicts = [
         weigh(fit, LinearSimulator(), seed=seed, samples=100).fits[0].verdict for seed in range(30)
     ]
@@ -222,9 +214,7 @@ def test_that_a_model_that_is_improbable_by_its_evidence_alone_gets_one_round():
     """Both optima are alike; what sets the models apart is the volume of a parameter that the data
     do not need.
     """
-    both = assimilate(
-        prior(("nhkv", "gen_qkv")), experiments(3), LinearSimulator(), seed=1, options=OPTIONS
-    )
+    both = fit_linear(experiments(3), belief=prior(("nhkv", "gen_qkv")))
     assert abs(both["gen_qkv"].cost - both["nhkv"].cost) < 1.0
     tight = replace(both, fits=tuple(replace(fit, chol=0.7 * fit.chol) for fit in both.fits))
     for drop_behind, again in ((2.0, False), (4.0, True)):
@@ -262,7 +252,7 @@ def test_that_nuisances_are_placed_anew_where_they_do_not_follow_the_gel_linearl
     moved = changed(simple, nuisance_response=times * simple.fits[0].nuisance_response)
 
     def effective(options: WeighingOptions) -> float:
-        fit = weigh(moved, LinearSimulator(), seed=0, rounds=1, options=options).fits[0]
+        fit = weighed(moved, rounds=1, options=options)
         return fit.sample.effective_samples
 
     assert effective(WeighingOptions()) > 200.0
@@ -275,10 +265,10 @@ def test_that_many_curves_cost_few_of_the_draws():
     of the second round are placed anew.
     """
     parts = [experiments(3, nuisance=BOTH, seed=seed) for seed in range(8)]
-    many = fitted(replace(parts[0], experiments=tuple(e for p in parts for e in p.experiments)))
+    many = fit_linear(replace(parts[0], experiments=tuple(e for p in parts for e in p.experiments)))
     fit = many.fits[0]
     off = changed(many, mean=fit.mean + 0.5 * fit.chol[:, 0])
-    sample = weigh(off, LinearSimulator(), seed=0, rounds=2).fits[0].sample
+    sample = weighed(off, rounds=2).sample
     assert sample.rounds == 2
     assert sample.effective_samples > 190.0  # with 15 degrees of freedom 146 are left
 
@@ -303,7 +293,7 @@ def test_that_a_fit_above_another_minimum_is_made_again_from_there(right):
     wrong = ended_too_high(right, 4.0)
     truth = exact(right.prior.models[0], right.batch)
     said = []
-    mended = weigh(wrong, LinearSimulator(), seed=0, progress=said.append).fits[0]
+    mended = weighed(wrong, progress=said.append)
     assert mended.cost == pytest.approx(right.fits[0].cost, abs=1e-6)
     assert mended.certificate.converged
     assert mended.verdict is Verdict.TRUSTED
@@ -317,10 +307,7 @@ def test_that_a_fit_above_another_minimum_is_made_again_from_there(right):
 
 def test_that_it_stays_where_that_is_not_asked_for(right):
     wrong = ended_too_high(right, 4.0)
-    assert (
-        weigh(wrong, LinearSimulator(), seed=0, options=WeighingOptions(refits=0)).fits[0].cost
-        == wrong.fits[0].cost
-    )
+    assert weighed(wrong, options=WeighingOptions(refits=0)).cost == wrong.fits[0].cost
 
 
 @pytest.mark.parametrize(
@@ -330,7 +317,7 @@ def test_that_a_draw_is_lower_only_in_another_basin_and_of_a_model_that_may_matt
     right, away, behind, found
 ):
     options = WeighingOptions(refits=0)
-    fit = weigh(ended_too_high(right, away), LinearSimulator(), seed=0, options=options).fits[0]
+    fit = weighed(ended_too_high(right, away), options=options)
     posterior = Posterior(fit.prior, right.batch, LinearSimulator())
     assert (find_lower_draw(fit, fit.cost - behind, posterior, options) is not None) is found
 
@@ -342,7 +329,7 @@ def test_that_a_fit_that_only_looks_too_high_is_not_made_again(right):
     fit = right.fits[0]
     said = []
     narrow = replace(right, fits=(replace(fit, nuisance_chol=2.0 * fit.nuisance_chol),))
-    weighted = weigh(narrow, LinearSimulator(), seed=0, progress=said.append).fits[0]
+    weighted = weighed(narrow, progress=said.append)
     assert not any(line.startswith("assimilation") for line in said)
     assert weighted.cost == fit.cost
     assert weighted.sample.rounds == 2

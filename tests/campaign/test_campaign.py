@@ -1,4 +1,7 @@
-"""A campaign remembers: however it is cut off, resuming ends in the same journal, byte for byte."""
+"""A campaign learns from bubbles, remembers, and refuses what is not its own.
+
+That resuming ends in the same journal: test_policies.py and test_interruptions.py.
+"""
 
 import shutil
 from dataclasses import replace
@@ -14,7 +17,6 @@ from imr_torch.material import PARAMETERS, reference_case
 from imr_torch.observe import Noise, SimulatedLaboratory
 from imr_torch.random import child
 from imr_torch.simulate import PolytropicSimulator, Stepping
-from tests.journals import cut
 
 CASE = reference_case("soft-pa")
 SIMULATOR = PolytropicSimulator(stepping=Stepping(0.25))
@@ -60,14 +62,6 @@ def test_the_journal_holds_what_was_asked_measured_and_concluded(finished):
     assert len(asked["search"]["evaluations"]) == SETTINGS.policy.evaluations
     assert asked["design"] == pytest.approx(list(finished.experiments[0].design))
     assert {"nhkv", "gen_qkv"} == set(finished.journal.find_event("learnt", 2)["certificates"])
-
-
-@pytest.mark.parametrize("events", [1, 2, 3, 5, 6, 7], ids=lambda n: f"cut after event {n}")
-def test_resuming_gives_the_uninterrupted_journal_byte_for_byte(finished, tmp_path, events):
-    resumed = campaign(cut(finished.journal.folder, tmp_path / "cut", events, torn=0.5))
-    resumed.run(shoot, 2)
-    assert resumed.journal.path.read_bytes() == finished.journal.path.read_bytes()
-    assert resumed.belief.to_dict() == finished.belief.to_dict()
 
 
 def test_a_journal_of_another_campaign_is_refused_and_says_what_differs(finished):

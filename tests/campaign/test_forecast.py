@@ -40,14 +40,14 @@ def test_that_shots_of_a_linear_gaussian_problem_are_those_of_its_closed_form(te
     assert found.to_dict()["mean"] == pytest.approx(count, abs=1.0)
 
 
-def test_that_a_target_that_is_met_needs_no_shot():
-    found = forecast("G:2%,mu:2%")
-    assert found.to_dict() == {"mean": 0.0, "low": 0.0, "median": 0.0, "high": 0.0, "reached": 1.0}
-
-
-def test_that_a_target_out_of_reach_has_no_number():
-    found = forecast("G:.001%").to_dict()
-    assert found == {"mean": None, "low": None, "median": None, "high": None, "reached": 0.0}
+@pytest.mark.parametrize(
+    ("text", "number", "reached"), [("G:2%,mu:2%", 0.0, 1.0), ("G:.001%", None, 0.0)]
+)
+def test_that_a_target_that_is_met_needs_no_shot_and_one_out_of_reach_has_no_number(
+    text, number, reached
+):
+    numbers = dict.fromkeys(("mean", "low", "median", "high"), number)
+    assert forecast(text).to_dict() == numbers | {"reached": reached}
 
 
 def test_that_models_that_look_different_are_told_apart_and_alike_ones_never():

@@ -8,30 +8,18 @@ from contextlib import suppress
 import pytest
 
 from benchmarks.interruptions import Disk, compare, forked, left_over
-from imr_torch.campaign import Campaign, CampaignSettings, Random
+from imr_torch.campaign import Campaign
 from imr_torch.cli import main
-from imr_torch.design import DesignSpace
-from imr_torch.random import child
-from tests.campaign.test_telling import LABORATORY, PLAN
+from tests.campaign.test_telling import campaign, shoot
 from tests.journals import cut
-from tests.linear import LinearSimulator, prior, tensor
-from tests.stubs import StubLearner
+from tests.linear import tensor
 
-SETTINGS = CampaignSettings(DesignSpace(), PLAN, Random(), StubLearner())
 needs_fork = pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are forked")
-
-
-def opened(folder) -> Campaign:
-    return Campaign(folder, prior(("newtonian", "nhkv")), LinearSimulator(), settings=SETTINGS)
-
-
-def shoot(design, number):
-    return LABORATORY.shoot(design, seed=child(0, "shoot", number))
 
 
 def simulated(folder) -> int:
     """Three experiments, two of which are chosen and told together."""
-    opened(folder).run(shoot, 3, q=2)
+    campaign(folder).run(shoot, 3, q=2)
     return 0
 
 
@@ -40,7 +28,7 @@ CURVES = [shoot(tensor(300.0 + 100.0 * n, 0.2), n) for n in range(3)]
 
 def told(folder) -> int:
     """A user who tells a curve, tells two, forgets one and tells it again, and does each only once it is not in the journal."""
-    run = opened(folder)
+    run = campaign(folder)
     if run.told < 1:
         run.tell(CURVES[0])
     if run.told < 3:
@@ -83,7 +71,7 @@ def test_that_a_campaign_killed_at_any_operation_is_resumed_to_the_same_journal(
         assert forked(lambda: work(trial), Disk(at, "kill")).code == -signal.SIGKILL  # noqa: B023
         work(trial)
         assert compare(trial, folder) is None, at
-        assert opened(trial).belief.to_dict() == opened(folder).belief.to_dict()
+        assert campaign(trial).belief.to_dict() == campaign(folder).belief.to_dict()
 
 
 def test_that_a_campaign_whose_disk_is_full_from_any_operation_on_is_resumed_to_the_same_journal(
@@ -95,7 +83,7 @@ def test_that_a_campaign_whose_disk_is_full_from_any_operation_on_is_resumed_to_
         shutil.rmtree(trial, ignore_errors=True)
         with suppress(OSError), Disk(at, "full").watched():
             work(trial)
-        opened(trial)
+        campaign(trial)
         work(trial)
         assert compare(trial, folder) is None, at
 

@@ -6,7 +6,6 @@ import torch
 from imr_torch.assimilate import En4DVarOptions, SearchOptions
 from imr_torch.campaign import (
     Campaign,
-    CampaignSettings,
     Designs,
     ExactLearner,
     GainBelow,
@@ -17,18 +16,15 @@ from imr_torch.campaign import (
     Situation,
     SpaceFilling,
 )
-from imr_torch.design import DesignSpace, Laplace, ListedDesigns, Plan
+from imr_torch.design import DesignSpace, Laplace, ListedDesigns
 from imr_torch.errors import InputDataError
-from imr_torch.float64 import linspace
 from imr_torch.gap import CauseLearner
-from imr_torch.material import PARAMETERS
-from imr_torch.observe import SimulatedLaboratory
-from imr_torch.random import child
+from tests.campaign import test_telling as told
+from tests.campaign.test_telling import PLAN, shoot
 from tests.journals import cut, rewritten
-from tests.linear import NOISE, LinearSimulator, prior
+from tests.linear import LinearSimulator, prior
 
 SPACE = DesignSpace(weber=(200.0, 900.0), rest_radius=(0.15, 0.25))
-PLAN = Plan(linspace(0.1, 2.0, 9), repeats=4, noise=NOISE, collapses=None)
 QUICK = Optimal(Laplace(draws=3, rivals=3), evaluations=4, initial=3)
 LEARNERS = {
     "exact": ExactLearner(32, SearchOptions(raw_samples=24)),
@@ -39,39 +35,17 @@ POLICIES_HERE = {
     "random": Random(),
     "space-filling": SpaceFilling(),
 }
-LABORATORY = SimulatedLaboratory(
-    LinearSimulator(),
-    PARAMETERS.pack({"G": 5600.0, "mu": 0.18}),
-    noise=NOISE,
-    repeats=4,
-    times=PLAN.times,
-)
+
+
+def campaign(folder, **changes) -> Campaign:
+    settings = {"space": SPACE, "learner": LEARNERS["exact"]}
+    return told.campaign(folder, **settings | changes)
 
 
 def choose(policy, number: int, *, seed: int = 0, space: DesignSpace = SPACE) -> torch.Tensor:
     return policy.choose_design(
         Situation(number, prior(("nhkv",)), LinearSimulator(), space, PLAN, seed)
     ).design
-
-
-def campaign(folder, *, seed: int = 0, **settings) -> Campaign:
-    defaults = {
-        "space": SPACE,
-        "plan": PLAN,
-        "policy": Random(),
-        "learner": LEARNERS["exact"],
-    } | settings
-    return Campaign(
-        folder,
-        prior(("newtonian", "nhkv")),
-        LinearSimulator(),
-        settings=CampaignSettings(**defaults),
-        seed=seed,
-    )
-
-
-def shoot(design, number):
-    return LABORATORY.shoot(design, seed=child(0, "shoot", number))
 
 
 @pytest.mark.parametrize("policy", POLICIES_HERE.values(), ids=POLICIES_HERE)

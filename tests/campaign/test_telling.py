@@ -17,6 +17,7 @@ from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.float64 import linspace
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, Nuisance, SimulatedLaboratory
+from imr_torch.random import child
 from imr_torch.simulate import PolytropicSimulator
 from tests.journals import cut, rewritten
 from tests.linear import NOISE, LinearSimulator, prior, tensor
@@ -34,20 +35,28 @@ LABORATORY = SimulatedLaboratory(
 CURVES = [LABORATORY.shoot(tensor(300.0 + 100.0 * n, 0.2), seed=n) for n in range(4)]
 
 
-def campaign(folder, *, simulator=None, seed: int = 0, **settings) -> Campaign:
+def shoot(design, number):
+    return LABORATORY.shoot(design, seed=child(0, "shoot", number))
+
+
+def campaign(folder, *, told: int = 0, simulator=None, seed: int = 0, **settings) -> Campaign:
+    """A campaign that was told the first of the curves."""
     settings = {
         "space": DesignSpace(),
         "plan": PLAN,
         "policy": Random(),
         "learner": StubLearner(),
     } | settings
-    return Campaign(
+    run = Campaign(
         folder,
         prior(("newtonian", "nhkv")),
         simulator or LinearSimulator(),
         settings=CampaignSettings(**settings),
         seed=seed,
     )
+    for curve in CURVES[:told]:
+        run.tell(curve)
+    return run
 
 
 def kinds(run: Campaign) -> list[str]:
@@ -56,9 +65,7 @@ def kinds(run: Campaign) -> list[str]:
 
 @pytest.mark.parametrize("again", [False, True], ids=["same object", "opened again"])
 def test_that_a_curve_that_was_told_is_refused_with_its_number_and_the_way_out(tmp_path, again):
-    run = campaign(tmp_path)
-    run.tell(CURVES[0])
-    run.tell(CURVES[1])
+    run = campaign(tmp_path, told=2)
     before = run.journal.path.read_bytes()
     run = campaign(tmp_path) if again else run
     copy = replace(
@@ -75,19 +82,8 @@ def test_that_a_curve_that_was_told_is_refused_with_its_number_and_the_way_out(t
     assert run.tell(copy).number == 3
 
 
-def test_that_a_curve_told_and_not_learnt_is_refused_and_says_so(tmp_path):
-    campaign(tmp_path / "whole").tell(CURVES[0])
-    run = campaign(cut(tmp_path / "whole", tmp_path / "cut", 2))
-    with pytest.raises(
-        InputDataError, match="not learnt yet; resuming without telling it again does so"
-    ):
-        run.tell(CURVES[0])
-
-
 def test_that_what_was_told_and_not_learnt_is_learnt_before_anything_else(tmp_path):
-    whole = campaign(tmp_path / "whole")
-    whole.tell(CURVES[0])
-    whole.tell(CURVES[1])
+    whole = campaign(tmp_path / "whole", told=2)
     whole.ask()
     assert kinds(whole) == ["start", "observed", "learnt", "observed", "learnt", "ask"]
     for name, act in {
@@ -113,14 +109,11 @@ def test_that_what_was_told_and_not_learnt_is_learnt_before_anything_else(tmp_pa
     "learner", [EXACT, ExactLearner(32, En4DVarOptions(12, 2, 2))], ids=["exact", "en4dvar"]
 )
 def test_that_after_forgetting_the_belief_is_that_of_the_other_curves(tmp_path, learner):
-    run = campaign(tmp_path / "all", learner=learner)
-    run.tell(CURVES[0])
+    run = campaign(tmp_path / "all", learner=learner, told=1)
     run.tell(CURVES[3])
     run.tell(CURVES[1])
     step = run.forget(2)
-    others = campaign(tmp_path / "others", learner=learner)
-    others.tell(CURVES[0])
-    others.tell(CURVES[1])
+    others = campaign(tmp_path / "others", learner=learner, told=2)
     assert run.belief.to_dict() == others.belief.to_dict()
     again = campaign(tmp_path / "all", learner=learner)
     for known in (run, again):
@@ -152,9 +145,7 @@ def test_that_designs_asked_for_with_a_forgotten_curve_in_the_belief_are_asked_f
             found = super().choose_design(situation, progress=progress)
             return replace(found, gain=float(situation.belief.best.mean.sum()))
 
-    run = campaign(tmp_path, policy=Follows())
-    run.tell(CURVES[0])
-    run.tell(CURVES[1])
+    run = campaign(tmp_path, policy=Follows(), told=2)
     before = run.ask()
     assert run.ask().gain == before.gain
     run.forget(2)
@@ -165,9 +156,7 @@ def test_that_designs_asked_for_with_a_forgotten_curve_in_the_belief_are_asked_f
 
 @pytest.mark.parametrize("number", [0, 3, -1])
 def test_that_an_unknown_experiment_cannot_be_forgotten(tmp_path, number):
-    run = campaign(tmp_path)
-    run.tell(CURVES[0])
-    run.tell(CURVES[1])
+    run = campaign(tmp_path, told=2)
     with pytest.raises(
         InputDataError,
         match=rf"no experiment {number} to forget .*it counts 1 \('.*'\), 2 \('.*'\)",
@@ -211,8 +200,7 @@ def test_that_a_curve_whose_times_are_in_another_unit_is_not_recorded(tmp_path, 
 
 def test_that_learning_that_fails_names_the_curve_and_forgetting_it_goes_on(tmp_path):
     loud = replace(CURVES[1], radius=CURVES[1].radius + 5.0)
-    run = campaign(tmp_path, learner=StubLearner(fails_above=3.0))
-    run.tell(CURVES[0])
+    run = campaign(tmp_path, learner=StubLearner(fails_above=3.0), told=1)
     with pytest.raises(
         ConvergenceError,
         match=r"did not converge.*experiment 2, which is in the journal.*--forget 2",
@@ -273,8 +261,7 @@ def test_that_a_campaign_is_resumed_on_any_number_of_threads(tmp_path):
     ids=str,
 )
 def test_that_an_event_that_makes_no_sense_is_refused_by_line(tmp_path, place, change, message):
-    run = campaign(tmp_path)
-    run.tell(CURVES[0])
+    run = campaign(tmp_path, told=1)
     run.ask()
     events = run.journal.events
     rewritten(tmp_path, [*events[:place], events[place] | change, *events[place + 1 :]])
@@ -293,8 +280,7 @@ def test_that_a_shot_that_failed_is_recorded_and_its_design_asked_again_then_mov
                 return found
             return replace(found, design=situation.pending[-1] + tensor(1.0, 0.0))
 
-    run = campaign(tmp_path, policy=Away())
-    run.tell(CURVES[0])
+    run = campaign(tmp_path, policy=Away(), told=1)
     asked = run.ask()
     before = run.belief.to_dict()
     run.fail("shot.csv", "It has 6 frames.")
@@ -315,8 +301,6 @@ def test_that_a_shot_that_failed_is_recorded_and_its_design_asked_again_then_mov
 
 
 def test_that_a_forgotten_curve_does_not_count(tmp_path):
-    designs = campaign(tmp_path / "designs", stop=Designs(2))
-    designs.tell(CURVES[0])
-    designs.tell(CURVES[1])
+    designs = campaign(tmp_path / "designs", stop=Designs(2), told=2)
     designs.forget(1)
     assert designs.reason_to_stop() is None

@@ -7,10 +7,11 @@ import torch
 from torch import Tensor
 
 from imr_torch.design import ExpectedInformationGain, Laplace, Plan
-from imr_torch.float64 import eye, full, linspace, tensor, zeros
+from imr_torch.float64 import full, linspace, tensor, zeros
 from imr_torch.material import PARAMETERS, Belief, ModelBelief, TruncatedNormal
 from imr_torch.observe import Noise
 from tests.formula import FormulaSimulator
+from tests.linear import correlation
 
 SIGMA = 0.05
 TIMES = linspace(0.1, 2.0, 7)
@@ -103,13 +104,8 @@ def sensitivity(part: ModelBelief, designs: Tensor) -> Tensor:
 
 def covariance(designs: Tensor, how: Plan, *, nuisances: bool = True) -> Tensor:
     """``(q 7) x (q 7)``: of the mean of all repeats, nuisances included."""
-    gap = (TIMES[:, None] - TIMES).abs()
-    tau = how.noise.correlation_time
-    noise = (
-        (how.noise.floor * how.noise.scale) ** 2
-        * (torch.exp(-gap / tau) if tau else eye(7))
-        / how.repeats
-    )
+    one = (how.noise.floor * how.noise.scale) ** 2
+    noise = one * correlation(TIMES, how.noise.correlation_time) / how.repeats
     blocks = []
     for design in designs:
         clock = full((7, 1), TIME_SLOPE * how.nuisance.time_zero)

@@ -1,7 +1,7 @@
 """Designs one after the other against closed forms of classical regression; and the optimum that benchmarks hold campaigns to."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import pytest
 import torch
@@ -13,35 +13,27 @@ from imr_torch.design import DesignSpace, ListedDesigns, Plan, choose_sequence
 from imr_torch.float64 import full, linspace, tensor
 from imr_torch.material import PARAMETERS, Belief, TruncatedNormal
 from imr_torch.observe import Noise, SimulatedLaboratory
-from imr_torch.simulate import Conditions, Solution, Status, broadcast_batch
+from tests.formula import FormulaSimulator
 
 SPACE = DesignSpace((100.0, 1000.0), (0.15, 0.3))
 CENTRE = math.sqrt(1e5)
 
 
 @dataclass(frozen=True)
-class Line:
+class Line(FormulaSimulator):
     """``R = .5 + G + mu x`` in every frame, with ``x`` from -1 to 1 over log We; ``G`` above a limit
     fails.
     """
 
     limit: float = math.inf
-    conditions: Conditions = field(default_factory=Conditions)
 
-    def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
-        shape, parameters, designs, times = broadcast_batch(parameters, designs, times)
+    def formula(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Tensor:
         g, mu = parameters[:, PARAMETERS.index(["G", "mu"])].mT
         at = (designs[:, 0] / CENTRE).log() / math.log(1000.0 / CENTRE)
-        radius = (0.5 + g + mu * at)[:, None].expand_as(times)
-        bad = g > self.limit
-        radius = torch.where(bad[:, None], torch.nan, radius).reshape(*shape, -1)
-        status = torch.where(bad, int(Status.NON_FINITE), int(Status.DONE)).reshape(shape)
-        return Solution(
-            times.reshape(*shape, -1), radius, radius, radius, status, torch.ones_like(status)
-        )
+        return (0.5 + g + mu * at)[:, None].expand_as(times)
 
-    def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
-        return self(parameters, designs, times)
+    def bad(self, parameters: Tensor) -> Tensor:
+        return parameters[:, PARAMETERS.index(["G"])[0]] > self.limit
 
 
 WIDE = Belief.prior({"nhkv": {"G": TruncatedNormal(1.0, 0.1), "mu": TruncatedNormal(1.0, 0.1)}})

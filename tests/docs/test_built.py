@@ -2,7 +2,6 @@
 they are not built.
 """
 
-import shutil
 from collections import defaultdict
 from functools import partial
 from html.parser import HTMLParser
@@ -15,11 +14,9 @@ import pytest
 
 from imr_torch.labels import file_name
 from imr_torch.material import LIBRARY
+from tests.processes import BROWSER
 
 BUILT = Path(__file__).resolve().parents[2] / "docs" / "_build" / "html"
-BROWSER = (
-    shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-)
 PAGES = (
     "index",
     "start/index",

@@ -7,19 +7,15 @@ from imr_torch.assimilate import SearchOptions, assimilate, weigh
 from imr_torch.errors import InputDataError
 from imr_torch.export import to_arviz
 from imr_torch.observe import ExperimentBatch, GelMedium, Nuisance
-from tests.linear import LinearSimulator, exact, experiments, prior, tensor
+from tests.linear import LinearSimulator, exact, experiments, fit_linear, prior, tensor
 
 pytest.importorskip("arviz_base", reason="needs the extra arviz")
-
-OPTIONS = SearchOptions(raw_samples=24)
 
 
 @pytest.fixture(scope="module")
 def weighted():
     batch = experiments(3, nuisance=Nuisance(time_zero=0.2, rest_radius=0.3))
-    fit = assimilate(
-        prior(("newtonian", "nhkv")), batch, LinearSimulator(), seed=1, options=OPTIONS
-    )
+    fit = fit_linear(batch, belief=prior(("newtonian", "nhkv")))
     return weigh(fit, LinearSimulator(), seed=1, samples=1024)
 
 
@@ -115,7 +111,7 @@ def test_that_arvizs_plots_and_comparison_take_the_tree(weighted):
 
 
 def test_that_a_fit_without_weights_gives_its_gaussian(weighted):
-    fit = assimilate(prior(("nhkv",)), experiments(1), LinearSimulator(), seed=1, options=OPTIONS)
+    fit = fit_linear(experiments(1))
     branch = to_arviz(fit, seed=0, draws=4000)["nhkv"]
     assert set(branch.children) == {"posterior", "observed_data", "constant_data"}
     expected = fit["nhkv"].posterior

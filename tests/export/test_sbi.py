@@ -16,6 +16,7 @@ from tests.linear import CORRELATED, MEANS, NOISE, SDS, LinearSimulator, prior, 
 
 DESIGNS = tensor([300.0, 0.2], [700.0, 0.25])
 TIMES = float64.linspace(0.1, 2.0, 9)
+MIDDLE = tensor([MEANS["G"], MEANS["mu"]])
 PART = reference_case("stiff-pa").prior["gen_qkv"]
 
 
@@ -89,7 +90,7 @@ def test_that_curves_are_the_simulators_with_the_stated_noise():
 
 def test_that_noise_is_correlated_within_a_curve_and_nuisances_move_whole_curves():
     _, simulate = pair(noise=CORRELATED, dtype=torch.float64)
-    theta = tensor([MEANS["G"], MEANS["mu"]]).expand(4000, 2)
+    theta = MIDDLE.expand(4000, 2)
     correlation = torch.corrcoef(simulate(theta).mT)
     gap = float(TIMES[1] - TIMES[0])
     assert float(correlation[0, 1]) == pytest.approx(
@@ -112,7 +113,7 @@ def test_that_a_failed_solve_is_a_row_of_nan_and_leaves_the_others():
 
 
 def test_that_simulations_depend_on_the_seed_and_go_on_from_call_to_call():
-    theta = tensor([MEANS["G"], MEANS["mu"]]).expand(3, 2)
+    theta = MIDDLE.expand(3, 2)
     (_, one), (_, same) = pair(), pair()
     first = one(theta)
     second = one(theta)

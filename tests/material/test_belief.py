@@ -5,7 +5,6 @@ import math
 import pytest
 import torch
 from scipy import stats
-from torch import Tensor
 from torch.testing import assert_close
 
 from imr_torch.errors import InputDataError
@@ -25,10 +24,7 @@ from imr_torch.material import (
     wide_prior,
 )
 from tests.clouds import cloud
-
-
-def tensor(*values) -> Tensor:
-    return torch.tensor(values, dtype=torch.float64)
+from tests.linear import tensor
 
 
 def positive(mean: float, sd: float) -> TruncatedNormal:

@@ -71,7 +71,6 @@ def excess(b: float) -> float:
 
 
 ENERGIES = {
-    "neo_hookean": lambda b: 0.5 * excess(b),
     "mooney_rivlin": lambda b: (
         0.5 * ((1.0 - VALUES["mooney"]) * excess(b) + VALUES["mooney"] * (2.0 * b**-2 + b**4 - 3.0))
     ),
@@ -109,19 +108,15 @@ def shear_thinned(key: str, shear: float) -> float:
     v = VALUES | {"plateau": 0.0}
     power = (shear / v["reference_rate"]) ** -v["power_thinning"]
     return {
-        "carreau": (1.0 + (v["shear_time"] * shear) ** 2) ** (-0.5 * v["thinning"]),
         "carreau_yasuda": (1.0 + (v["shear_time"] * shear) ** v["yasuda"])
         ** (-v["thinning_yasuda"] / v["yasuda"]),
         "cross": 1.0 / (1.0 + (v["cross_time"] * shear) ** v["cross_exponent"]),
         "powell_eyring": math.asinh(v["eyring_time"] * shear) / (v["eyring_time"] * shear),
         "power_law": power,
-        "newtonian": 1.0,
     }[key]
 
 
-@pytest.mark.parametrize(
-    "key", ["carreau", "carreau_yasuda", "cross", "powell_eyring", "power_law"]
-)
+@pytest.mark.parametrize("key", ["carreau_yasuda", "cross", "powell_eyring", "power_law"])
 @pytest.mark.parametrize("velocity", [-9.0, -0.5, 0.02, 3.0, 300.0])
 @pytest.mark.parametrize("plateau", [0.0, 0.4])
 def test_that_the_viscous_stress_is_the_integral_of_the_viscosity(key, velocity, plateau):
@@ -137,8 +132,6 @@ def test_that_the_viscous_stress_is_the_integral_of_the_viscosity(key, velocity,
     mu = {"mu": VALUES["mu"]}
     expected = quadrature(radius, velocity, mu, viscosity=viscosity)
     gel = VALUES | {"plateau": plateau, "G": 0.0}
-    if key == "carreau":  # where it is the registered model
-        gel |= {"G": 0.0}
     found = float(evaluate(model, radius, velocity, gel).value)
     # |U| of the power law is rounded off at .02
     tolerance = 0.3 if key == "power_law" and abs(velocity) < 0.1 else 1e-3 / velocity**2
@@ -198,7 +191,7 @@ def test_that_the_springpot_has_the_complex_modulus_of_a_power(order):
     """Small oscillations of the volume at rest: ``S = -4 G* strain`` within 2 % over three decades."""
     term = material("springpot").terms[0]
     theta = tensors({"G_frac": 1.0, "fractional": order, "reference_rate": 1.0})
-    one = torch.tensor(1.0, dtype=torch.float64)
+    one = tensor(1.0)[0]
     zero = 0.0 * one
 
     def linear(radius, velocity, memory):
@@ -224,7 +217,7 @@ def combinations():
 def test_that_every_combination_is_built_or_refused_with_a_reason():
     """Its parameters have priors, and its stress is finite and zero where all parameters are neutral."""
     built, refused = [], []
-    point = [torch.tensor(x, dtype=torch.float64) for x in (0.4, -1.0, REST)]
+    point = [tensor(x)[0] for x in (0.4, -1.0, REST)]
     for key in combinations():
         names = [name for name in key.split("+") if name in PARTS]
         with contextlib.suppress(InputDataError):
@@ -275,7 +268,7 @@ def work_with_memory(key: str, values: dict[str, float]) -> float:
     """Work that it takes up in the second period, from memory at rest at first."""
     model = material(key)
     theta = tensors(values)
-    rest = torch.tensor(REST, dtype=torch.float64)
+    rest = tensor(REST)[0]
 
     def rates(t, y):
         state = oscillate(t)

@@ -14,7 +14,7 @@ from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Film, Noise, Nuisance, displaced, predict
 from imr_torch.random import generator
 from imr_torch.simulate import PolytropicSimulator
-from tests.linear import LinearSimulator, prior, tensor
+from tests.linear import LinearSimulator, correlation, prior, tensor
 
 NOISES = {
     "published": Noise(),
@@ -50,10 +50,8 @@ def prediction(*leading: int) -> Tensor:
 
 def dense(noise: Noise, shot: Experiment, predicted: Tensor) -> float:
     sd = noise.sd(predicted, shot.times)
-    tau = noise.correlation_time
-    gap = (shot.times[:, None] - shot.times).abs()
-    correlation = torch.exp(-gap / tau) if tau else eye(len(gap))
-    law = torch.distributions.MultivariateNormal(predicted, sd[:, None] * correlation * sd)
+    covariance = sd[:, None] * correlation(shot.times, noise.correlation_time) * sd
+    law = torch.distributions.MultivariateNormal(predicted, covariance)
     return float(law.log_prob(shot.radius).sum())
 
 
@@ -113,16 +111,10 @@ def test_that_whitening_makes_the_noise_of_the_mean_standard(noise):
         basis = zeros(frames, len(SIZES), width)
         basis[torch.arange(frames), e, torch.arange(frames)] = 1.0
         matrix = batch.whiten(basis, sd)[:, e, :frames].mT
-        gap = (shot.times[:, None] - shot.times).abs()
-        tau = noise.correlation_time
-        correlation = torch.exp(-gap / tau) if tau else eye(frames)
-        covariance = sd[e, :frames, None] * correlation * sd[e, :frames] / shot.repeats
-        assert_close(
-            matrix @ covariance @ matrix.mT,
-            eye(frames),
-            rtol=0,
-            atol=1e-9,
-        )
+        own = sd[e, :frames]
+        between = correlation(shot.times, noise.correlation_time)
+        covariance = own[:, None] * between * own / shot.repeats
+        assert_close(matrix @ covariance @ matrix.mT, eye(frames), rtol=0, atol=1e-9)
 
 
 @ALL

@@ -31,6 +31,11 @@ def film(exposure: float) -> ExperimentBatch:
     )
 
 
+def seen(exposure: float, **effect: float) -> torch.Tensor:
+    """The gel as it is filmed, perhaps with an effect."""
+    return predict(SIMULATOR, PARAMETERS.pack(GEL | effect), film(exposure))
+
+
 def blurred(exposure: float) -> torch.Tensor:
     """Mean radius over each exposure by a fine sum, apart from the code under test."""
     offsets = (arange(201) + 0.5) / 201 - 0.5
@@ -42,21 +47,21 @@ def blurred(exposure: float) -> torch.Tensor:
 
 
 def test_that_a_known_exposure_averages_as_the_effect_of_that_value_does():
-    known = predict(SIMULATOR, PARAMETERS.pack(GEL), film(0.04))
-    effect = predict(SIMULATOR, PARAMETERS.pack(GEL | {"exposure_blur": 0.04}), film(0.0))
+    known = seen(0.04)
+    effect = seen(0.0, exposure_blur=0.04)
     assert torch.equal(known, effect)
     torch.testing.assert_close(
         known[0], blurred(0.04), rtol=0.0, atol=4e-3
     )  # eight nodes in a collapse
-    sharp = predict(SIMULATOR, PARAMETERS.pack(GEL), film(0.0))
+    sharp = seen(0.0)
     assert float((known - sharp).abs().max()) > 0.02
 
 
 def test_that_an_exposure_too_short_to_tell_from_none_is_none():
     """A search may go far into the tail of the prior, where the nodes of an average are one number."""
-    tiny = predict(SIMULATOR, PARAMETERS.pack(GEL | {"exposure_blur": 1e-17}), film(0.0))
-    assert torch.equal(tiny, predict(SIMULATOR, PARAMETERS.pack(GEL), film(0.0)))
-    short = predict(SIMULATOR, PARAMETERS.pack(GEL | {"exposure_blur": 1e-5}), film(0.0))
+    tiny = seen(0.0, exposure_blur=1e-17)
+    assert torch.equal(tiny, seen(0.0))
+    short = seen(0.0, exposure_blur=1e-5)
     torch.testing.assert_close(short, tiny, rtol=0.0, atol=1e-5)
 
 
@@ -65,7 +70,7 @@ def test_that_each_experiment_has_its_own_exposure():
     second = film(0.06).experiments[0]
     both = predict(SIMULATOR, PARAMETERS.pack(GEL), ExperimentBatch((first, second)))
     for row, exposure in zip(both, (0.02, 0.06), strict=True):
-        assert torch.equal(row, predict(SIMULATOR, PARAMETERS.pack(GEL), film(exposure))[0])
+        assert torch.equal(row, seen(exposure)[0])
 
 
 def traces(exposure_s: float | None, radius: torch.Tensor) -> TraceSet:

@@ -1,6 +1,5 @@
 """Landmarks against curves whose landmarks are known, and against the values that laboratories published."""
 
-import json
 import math
 from pathlib import Path
 
@@ -8,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from imr_torch.files import read_json
 from imr_torch.float64 import arange, linspace, randn, tensor
 from imr_torch.material import PARAMETERS
 from imr_torch.observe.landmarks import Landmarks, find_landmarks
@@ -241,7 +241,7 @@ def test_that_the_given_maximum_is_not_used_where_frames_bracket_the_peak():
 
 
 def both(shared: Path, name: str) -> list[tuple[Landmarks, dict]]:
-    listed = json.loads((shared / f"data/{name}.json").read_text())["experiments"]
+    listed = read_json(shared / f"data/{name}.json")["experiments"]
     published = {entry["experiment_id"]: entry for entry in listed}
     return [
         (find_landmarks(t), published[t.experiment_id])

@@ -8,13 +8,10 @@ from torch import Tensor
 from torch.testing import assert_close
 
 from imr_torch.errors import InputDataError
-from imr_torch.float64 import eye, rand, zeros
+from imr_torch.float64 import rand, zeros
 from imr_torch.observe import NUISANCES, Noise, Nuisance, displaced
 from imr_torch.random import generator
-
-
-def tensor(*values) -> Tensor:
-    return torch.tensor(values, dtype=torch.float64)
+from tests.linear import correlation, tensor
 
 
 def frames(count: int = 12, seed: int = 0) -> Tensor:
@@ -23,12 +20,6 @@ def frames(count: int = 12, seed: int = 0) -> Tensor:
 
 def curve(times: Tensor) -> Tensor:
     return 0.6 + 0.4 * torch.cos(3.0 * times)
-
-
-def correlation(times: Tensor, tau: float) -> Tensor:
-    if tau == 0.0:
-        return eye(len(times))
-    return torch.exp(-(times[:, None] - times).abs() / tau)
 
 
 LAWS = {

@@ -7,7 +7,7 @@ from torch.testing import assert_close
 from imr_torch import PolytropicSimulator
 from imr_torch.float64 import linspace, ones, tensor
 from imr_torch.material import PARAMETERS
-from imr_torch.observe import Film, Nuisance, predict
+from imr_torch.observe import Film, predict
 from imr_torch.units import Surroundings
 
 GEL = {"G": 8e3, "mu": 0.08}
@@ -46,7 +46,6 @@ def test_that_a_misplaced_edge_adds_to_the_nuisances_of_each_experiment():
     both = tensor([[0.01, 0.003, 0.02]])
     with_error = seen(designs, TIMES[None], both, edge_error=2e-6)
     assert_close(with_error, seen(designs, TIMES[None], both + own) + edge, rtol=0.0, atol=1e-12)
-    assert Nuisance().sds().shape == both[0].shape
 
 
 def test_that_an_exposure_that_reaches_back_to_before_the_bubble_is_a_failed_member():

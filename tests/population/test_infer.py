@@ -147,8 +147,12 @@ class Exact:
         return mean, (self.weights @ (self.grid - mean).square()).sqrt()
 
 
+def fits_of(experiments: list[Experiment], simulator, *, part: ModelBelief = PART, **how):
+    return fit_shots(part, experiments, simulator, noise=NOISE, rounds=0, options=OPTIONS, **how)
+
+
 def inferred(experiments: list[Experiment], simulator, **options) -> Population:
-    fits = fit_shots(PART, experiments, simulator, noise=NOISE, rounds=0, options=OPTIONS, seed=3)
+    fits = fits_of(experiments, simulator, seed=3)
     return infer_population(fits, scale=SCALE, **({"draws": 1000} | options))
 
 
@@ -262,16 +266,7 @@ def test_that_the_stated_error_of_the_evidence_is_its_spread_over_seeds():
     errors = []
     experiments = shots(simulator, (0.5, 0.5), 3)
     for seed in range(6):
-        fits = fit_shots(
-            PART,
-            experiments,
-            simulator,
-            noise=NOISE,
-            rounds=0,
-            options=OPTIONS,
-            seed=seed,
-            samples=96,
-        )
+        fits = fits_of(experiments, simulator, seed=seed, samples=96)
         smooth = tuple(map(ShotLikelihood.of, fits))
         found = [
             sample_population(Problem(smooth, PART, tensor(s, s)), 500, generator(seed))
@@ -360,9 +355,7 @@ def test_that_a_parameter_that_rises_with_the_bubble_is_named():
 
 def test_that_shots_that_differ_are_not_taken_for_noise():
     experiments = shots(LinearSimulator(), (2.0, 0.5), 8)
-    fits = fit_shots(
-        PART, experiments, LinearSimulator(), noise=NOISE, rounds=0, options=OPTIONS, samples=25
-    )
+    fits = fits_of(experiments, LinearSimulator(), samples=25)
     shared = share_noise(fits, NOISE, LinearSimulator(), widen=True)
     assert shared is not None
     own = shared.laws.frames.laws[0]
@@ -379,9 +372,7 @@ def test_that_shots_that_differ_are_not_taken_for_noise():
 
 def _fits(part: ModelBelief = PART, count: int = 2):
     experiments = shots(LinearSimulator(), (0.5, 0.5), count)
-    return fit_shots(
-        part, experiments, LinearSimulator(), noise=NOISE, rounds=0, options=OPTIONS, samples=25
-    )
+    return fits_of(experiments, LinearSimulator(), part=part, samples=25)
 
 
 @pytest.mark.parametrize(

@@ -14,14 +14,35 @@ import torch
 
 from imr_torch.errors import InputDataError, UnsupportedError
 from imr_torch.float64 import arange, tensor
-from imr_torch.observe import Layout, find_files, find_landmarks, load_traces
+from imr_torch.observe import Layout, TraceSet, find_files, find_landmarks, load_traces
 from imr_torch.reading.content import read_arrays
 
 RADII = [254.5 - 3.25 * i for i in range(8)]
 
 
+def written(form: str) -> str:
+    """A row a frame, of its number ``{i}`` and its radius ``{x}``."""
+    return "".join(form.format(i=i, x=x) + "\n" for i, x in enumerate(RADII))
+
+
 def rows(mark: str = ",", decimal: str = ".") -> str:
-    return "".join(f"{i}{mark}{x}\n".replace(".", decimal) for i, x in enumerate(RADII))
+    return written(f"{{i}}{mark}{{x}}").replace(".", decimal)
+
+
+def load_text(
+    folder: Path,
+    text: str,
+    name: str = "gel.csv",
+    *,
+    encoding: str = "utf-8",
+    beside: dict | None = None,
+    **how,
+) -> TraceSet:
+    """What is read of a table, and of the JSON beside it."""
+    (folder / name).write_text(text, encoding=encoding)
+    if beside is not None:
+        (folder / name).with_suffix(".json").write_text(json.dumps(beside))
+    return load_traces(folder / name, **how)
 
 
 def check(traces, ids: tuple[str, ...]) -> None:
@@ -46,16 +67,15 @@ HEADERS = {
 
 @pytest.mark.parametrize("name", HEADERS)
 def test_that_units_are_read_from_the_header(tmp_path, name):
-    (tmp_path / "gel.csv").write_text(f"{HEADERS[name]}\n{rows()}", encoding="utf-8")
-    traces = load_traces(tmp_path / "gel.csv")
+    traces = load_text(tmp_path, f"{HEADERS[name]}\n{rows()}")
     check(traces, ("gel",))
     assert any("in um" in note and "in us" in note for note in traces.notes)
 
 
 @pytest.mark.parametrize("encoding", ["latin-1", "utf-8-sig", "utf-16"])
 def test_that_a_micro_sign_is_read_in_the_encodings_of_spreadsheets(tmp_path, encoding):
-    (tmp_path / "gel.csv").write_text(f"time (\u00b5s),R (\u00b5m)\n{rows()}", encoding=encoding)
-    check(load_traces(tmp_path / "gel.csv"), ("gel",))
+    text = f"time (\u00b5s),R (\u00b5m)\n{rows()}"
+    check(load_text(tmp_path, text, encoding=encoding), ("gel",))
 
 
 @pytest.mark.parametrize(
@@ -71,92 +91,71 @@ def test_that_a_micro_sign_is_read_in_the_encodings_of_spreadsheets(tmp_path, en
 def test_that_decimal_commas_are_read_where_columns_are_not_divided_by_commas(
     tmp_path, mark, head, decimal
 ):
-    (tmp_path / "gel.txt").write_text(f"{head}\n{rows(mark, decimal)}")
-    check(load_traces(tmp_path / "gel.txt"), ("gel",))
+    check(load_text(tmp_path, f"{head}\n{rows(mark, decimal)}", "gel.txt"), ("gel",))
 
 
-def test_that_the_header_may_be_the_last_comment(tmp_path):
-    (tmp_path / "gel.txt").write_text(f"# camera 3\n# t (us),R (um)\n{rows()}")
-    check(load_traces(tmp_path / "gel.txt"), ("gel",))
+WIDE = "time (us),shot 1 (um),shot 2 (um),Temperature\n"
+TABLES = {
+    "the header is the last comment": (f"# camera 3\n# t (us),R (um)\n{rows()}", ("gel",)),
+    "spreadsheets name the separator": (f"sep=;\nt (us);R (um)\n{rows(';', ',')}", ("gel",)),
+    "every column is a curve": (
+        WIDE + written("{i},{x},{x},21"),
+        ("shot 1 (um)", "shot 2 (um)"),
+    ),
+    "the error of the radius is no curve": (
+        "t (us),R (um),R sd (um)\n" + written("{i},{x},1"),
+        ("gel",),
+    ),
+    "a column tells the curves apart": (
+        "shot;t (us);R (um)\n"
+        + "".join(f"{name};{i};{x}\n" for name in "ab" for i, x in enumerate(RADII)),
+        ("a", "b"),
+    ),
+}
 
 
-def test_that_the_line_in_which_spreadsheets_name_the_separator_is_no_header(tmp_path):
-    (tmp_path / "gel.csv").write_text(f"sep=;\nt (us);R (um)\n{rows(';', ',')}")
-    check(load_traces(tmp_path / "gel.csv"), ("gel",))
-
-
-def test_that_every_column_of_a_wide_table_is_a_curve(tmp_path):
-    text = "time (us),shot 1 (um),shot 2 (um),Temperature\n" + "".join(
-        f"{i},{x},{x},21\n" for i, x in enumerate(RADII)
-    )
-    (tmp_path / "gel.csv").write_text(text)
-    check(load_traces(tmp_path / "gel.csv"), ("shot 1 (um)", "shot 2 (um)"))
+@pytest.mark.parametrize(("text", "ids"), TABLES.values(), ids=TABLES)
+def test_that_a_table_holds_the_curves_that_it_seems_to(tmp_path, text, ids):
+    check(load_text(tmp_path, text), ids)
 
 
 def test_that_the_error_of_a_wide_table_without_units_gives_an_option_that_works(tmp_path):
-    (tmp_path / "gel.csv").write_text(
-        "t,a,b\n" + "".join(f"{i},{x},{x}\n" for i, x in enumerate(RADII))
-    )
     with pytest.raises(InputDataError) as caught:
-        load_traces(tmp_path / "gel.csv")
+        load_text(tmp_path, "t,a,b\n" + written("{i},{x},{x}"))
     option = str(caught.value).split('--layout "')[1].split('"')[0]
     assert option == "radius=*,radius_unit=um,time=t,time_unit=us"
     check(load_traces(tmp_path / "gel.csv", layout=Layout.from_text(option)), ("a", "b"))
 
 
-def test_that_a_column_with_the_error_of_the_radius_is_no_curve(tmp_path):
-    text = "t (us),R (um),R sd (um)\n" + "".join(f"{i},{x},1\n" for i, x in enumerate(RADII))
-    (tmp_path / "gel.csv").write_text(text)
-    check(load_traces(tmp_path / "gel.csv"), ("gel",))
-
-
 def test_that_curves_in_columns_of_different_lengths_end_where_they_end(tmp_path):
-    text = (
-        "t (us),R1 (um),R2 (um),\n"
-        + "".join(f"{i},{x},{x if i < 6 else ''},\n" for i, x in enumerate(RADII))
-        + ",,,\n"
-    )
-    (tmp_path / "gel.csv").write_text(text)
-    traces = load_traces(tmp_path / "gel.csv")
+    second = [*RADII[:6], "", ""]
+    lines = [f"{i},{x},{y}," for i, (x, y) in enumerate(zip(RADII, second, strict=True))]
+    text = "\n".join(["t (us),R1 (um),R2 (um),", *lines, ",,,", ""])
+    traces = load_text(tmp_path, text)
     assert [len(trace) for trace in traces] == [8, 6]
-
-
-def test_that_a_column_tells_the_curves_apart_with_units_of_its_own(tmp_path):
-    text = "shot;t (us);R (um)\n" + "".join(
-        f"{name};{i};{x}\n" for name in "ab" for i, x in enumerate(RADII)
-    )
-    (tmp_path / "gel.csv").write_text(text)
-    check(load_traces(tmp_path / "gel.csv"), ("a", "b"))
 
 
 @pytest.mark.parametrize("text", ["t,R\n" + rows(), rows()])
 def test_that_the_json_beside_gives_the_units(tmp_path, text):
-    (tmp_path / "gel.csv").write_text(text)
-    (tmp_path / "gel.json").write_text(json.dumps({"time_unit": "us", "radius_unit": "um"}))
-    check(load_traces(tmp_path / "gel.csv"), ("gel",))
+    units = {"time_unit": "us", "radius_unit": "um"}
+    check(load_text(tmp_path, text, beside=units), ("gel",))
 
 
 def test_that_the_json_beside_gives_pixel_size_and_frame_rate(tmp_path):
-    (tmp_path / "gel.csv").write_text(
-        "frame,R (px)\n" + "".join(f"{i},{x / 2}\n" for i, x in enumerate(RADII))
-    )
+    text = "frame,R (px)\n" + "".join(f"{i},{x / 2}\n" for i, x in enumerate(RADII))
     rate = {"frame_rate_fps": 1e6}
     entry = {"experiments": [{"experiment_id": "gel", "pixel_size_m": 2e-6}]}
     for said in ({"pixel_size_m": 2e-6}, entry):
-        (tmp_path / "gel.json").write_text(json.dumps(rate | said))
-        check(load_traces(tmp_path / "gel.csv"), ("gel",))
-    for size, text in ((3e-6, "write pixel_size_m once"), (0, "is 0; expected one above 0")):
-        (tmp_path / "gel.json").write_text(json.dumps(rate | entry | {"pixel_size_m": size}))
-        with pytest.raises(InputDataError, match=text):
-            load_traces(tmp_path / "gel.csv")
+        check(load_text(tmp_path, text, beside=rate | said), ("gel",))
+    for size, message in ((3e-6, "write pixel_size_m once"), (0, "is 0; expected one above 0")):
+        with pytest.raises(InputDataError, match=message):
+            load_text(tmp_path, text, beside=rate | entry | {"pixel_size_m": size})
 
 
 def test_that_the_json_beside_describes_camera_medium_and_radii(tmp_path):
-    (tmp_path / "gel.csv").write_text("t (us),R (um)\n" + rows())
     said = {"medium": "10 % gelatin", "frame_rate_fps": 1e6, "exposure_s": 2e-7}
     radii = {"Rmax_m": 2.6e-4, "Rmax_sd_m": 2e-6, "Rinf_m": 4e-5, "Rinf_sd_m": 1e-6}
-    (tmp_path / "gel.json").write_text(json.dumps(said | radii))
-    trace = load_traces(tmp_path / "gel.csv")["gel"]
+    trace = load_text(tmp_path, "t (us),R (um)\n" + rows(), beside=said | radii)["gel"]
     given = trace.given
     assert (given.medium, given.frame_rate_hz, given.exposure_s) == ("10 % gelatin", 1e6, 2e-7)
     marks = find_landmarks(trace)
@@ -173,14 +172,10 @@ def test_that_the_json_beside_describes_camera_medium_and_radii(tmp_path):
 
 
 def test_that_an_entry_counts_before_the_whole_file(tmp_path):
-    (tmp_path / "gel.csv").write_text(
-        "t (us),one (um),two (um)\n" + "".join(f"{i},{x},{x}\n" for i, x in enumerate(RADII))
-    )
     entry = {"experiment_id": "two (um)", "exposure_s": 3e-7, "medium": "water"}
-    (tmp_path / "gel.json").write_text(
-        json.dumps({"exposure_s": 1e-7, "frame_rate_fps": "about 1e6", "experiments": [entry]})
-    )
-    traces = load_traces(tmp_path / "gel.csv")
+    said = {"exposure_s": 1e-7, "frame_rate_fps": "about 1e6", "experiments": [entry]}
+    text = "t (us),one (um),two (um)\n" + written("{i},{x},{x}")
+    traces = load_text(tmp_path, text, beside=said)
     assert [t.given.exposure_s for t in traces] == [1e-7, 3e-7]
     assert [t.given.medium for t in traces] == [None, "water"]
 

@@ -14,6 +14,7 @@ from torch.testing import assert_close
 from imr_torch.cli import build_parser, main
 from imr_torch.cli.common import read_options, simulator_of
 from imr_torch.errors import InputDataError
+from imr_torch.files import read_json
 from imr_torch.float64 import tensor
 from imr_torch.material import PARAMETERS
 from imr_torch.reading import load_driving
@@ -232,7 +233,7 @@ def test_that_a_sampled_sound_field_moves_a_bubble_as_its_formula_does(tmp_path)
     command = ["simulate", "--physics", "polytropic", "--set", "G=8310,mu=0.093", "--until", "2"]
     command += f"--driving {path} --json {tmp_path}/bubble.json".split()
     assert main(command) == 0
-    found = json.loads((tmp_path / "bubble.json").read_text())
+    found = read_json(tmp_path / "bubble.json")
     grid = tensor(found["t_star"])
     design = tensor([300.0, 0.2])
     gel = PARAMETERS.pack({"G": 8310.0, "mu": 0.093})

@@ -1,5 +1,6 @@
 """MATLAB files in: units, frames, inserted peaks, and which maximum radius belongs to which curve."""
 
+import json
 import math
 from pathlib import Path
 
@@ -11,16 +12,32 @@ import torch
 from imr_torch.errors import InputDataError
 from imr_torch.reading.layout import KNOWN_LAYOUTS, Layout
 from imr_torch.reading.load import load_traces
+from imr_torch.reading.traces import TraceSet
 
 DIMENSIONLESS = KNOWN_LAYOUTS["dimensionless_cells"]
 SCALE = math.sqrt(998.0 / 101325.0)
 
 
-def cells(vectors: list[np.ndarray]) -> np.ndarray:
+def as_cells(vectors: list[np.ndarray]) -> np.ndarray:
     out = np.empty((len(vectors), 1), dtype=object)
     for i, vector in enumerate(vectors):
         out[i, 0] = vector
     return out
+
+
+def load_saved(
+    folder: Path,
+    content: dict[str, object],
+    name: str = "gel.mat",
+    *,
+    beside: dict | None = None,
+    **how,
+) -> TraceSet:
+    """What is read of variables that MATLAB saved, and of the JSON beside them."""
+    scipy.io.savemat(folder / name, content)
+    if beside is not None:
+        (folder / name).with_suffix(".json").write_text(json.dumps(beside))
+    return load_traces(folder / name, **how)
 
 
 def dimensionless_file(
@@ -32,7 +49,11 @@ def dimensionless_file(
     radii = [np.where(t == 0.0, 1.0, 1.0 - 0.2 * t**2) for t in times]
     scipy.io.savemat(
         path,
-        {"R_nondim_All": cells(radii), "t_nondim_All": cells(times), "RmaxList": np.array(tops)},
+        {
+            "R_nondim_All": as_cells(radii),
+            "t_nondim_All": as_cells(times),
+            "RmaxList": np.array(tops),
+        },
     )
     return path
 
@@ -137,14 +158,11 @@ def test_that_fields_of_a_struct_are_variables(tmp_path):
 
 def test_that_a_first_row_which_is_no_peak_is_an_error(tmp_path):
     radius = np.linspace(1e-4, 2e-4, 10)
-    scipy.io.savemat(
-        tmp_path / "p.mat", {"Rnew": radius, "t": np.arange(10) * 1e-6, "RmaxAll": 2e-4}
-    )
     with pytest.raises(
         InputDataError,
         match=r"row 1: radius 0\.0001 m is not the fitted peak \(max_radius 0\.0002 m\)",
     ):
-        load_traces(tmp_path / "p.mat")
+        load_saved(tmp_path, {"Rnew": radius, "t": np.arange(10) * 1e-6, "RmaxAll": 2e-4}, "p.mat")
 
 
 def test_that_times_at_odds_with_the_frame_interval_are_an_error(tmp_path):
@@ -180,7 +198,7 @@ UM = Layout("R", radius_unit="um", time="t", time_unit="us")
             r"variable 'R', named by the layout, is not in the file\. It holds: r \(10,\), t \(10,\)",
         ),
         ({"R": R + 1j, "t": T}, UM, r"variable 'R' holds .*, not real numbers"),
-        ({"R": cells([R, R, R]), "t": cells([T, T])}, UM, r"'t' holds 2 vectors and 'R' 3"),
+        ({"R": as_cells([R, R, R]), "t": as_cells([T, T])}, UM, r"'t' holds 2 vectors and 'R' 3"),
         (
             {"R": R, "t": T, "dx": np.array([1.0, 2.0])},
             Layout("R", radius_unit="px", pixel_size="dx", time="t", time_unit="us"),
@@ -194,9 +212,8 @@ UM = Layout("R", radius_unit="um", time="t", time_unit="us")
     ],
 )
 def test_that_unusable_variables_are_named(tmp_path, variables, layout, message):
-    scipy.io.savemat(tmp_path / "bad.mat", variables)
     with pytest.raises(InputDataError, match=r"bad\.mat: .*" + message):
-        load_traces(tmp_path / "bad.mat", layout=layout)
+        load_saved(tmp_path, variables, "bad.mat", layout=layout)
 
 
 def test_that_a_damaged_file_says_how_to_save_it_again(tmp_path):

@@ -16,10 +16,13 @@ from torch.testing import assert_close
 from imr_torch.errors import InputDataError, UnsupportedError
 from imr_torch.observe import TraceSet, load_collapse_times, load_traces
 from imr_torch.reading import matlab
+from tests.reading.test_formats import load_text
+from tests.reading.test_matlab import as_cells, load_saved
 
 COUNT = 40
 TIMES = 1e-6 * np.arange(COUNT)  # s
 RADII = 1e-6 * (120.0 + 80.0 * np.cos(0.2 * np.arange(COUNT)))  # m
+SCALES = {"pixel_size_m": 3.2e-6, "frame_rate_fps": 1e6}
 
 
 def check(
@@ -34,13 +37,6 @@ def check(
         assert_close(trace.radius_m, torch.as_tensor(RADII[first:]), rtol=digits, atol=0)
         for name, value in given.items():
             assert getattr(trace.given, name) == pytest.approx(value, rel=1e-9)
-
-
-def as_cells(vectors: list[np.ndarray]) -> np.ndarray:
-    out = np.empty((1, len(vectors)), dtype=object)
-    for i, vector in enumerate(vectors):
-        out[0, i] = vector
-    return out
 
 
 def tracker_rows(*, scale: float | None = 3.2, rate: float | None = 1e6) -> list[list[str]]:
@@ -58,8 +54,7 @@ def tracker_rows(*, scale: float | None = 3.2, rate: float | None = 1e6) -> list
 
 
 def test_that_a_table_of_bubbletrack_has_its_radii_in_micrometres(tmp_path):
-    (tmp_path / "gel.csv").write_text("\n".join(",".join(row) for row in tracker_rows()))
-    traces = load_traces(tmp_path / "gel.csv")
+    traces = load_text(tmp_path, "\n".join(",".join(row) for row in tracker_rows()))
     check(traces, digits=1e-5)
     assert "radius from 'Radius_um' in um, time from 'Time_s' in s" in traces.notes[0]
 
@@ -75,21 +70,15 @@ def test_that_a_workbook_of_bubbletrack_is_read_alike(tmp_path):
 
 def test_that_pixels_and_frames_of_bubbletrack_take_their_scales_from_the_json_beside(tmp_path):
     rows = tracker_rows(scale=None, rate=None)
-    (tmp_path / "table.csv").write_text("\n".join(",".join(row) for row in rows))
+    table = "\n".join(",".join(row) for row in rows)
+    check(load_text(tmp_path, table, beside=SCALES), digits=1e-5)
     pixels = np.concatenate([[-1.0, -1.0], 1e6 * RADII / 3.2, [-1.0]])
     centres = np.zeros((len(pixels), 2))
     edges = as_cells([np.zeros((3, 2))] * len(pixels))
-    scipy.io.savemat(
-        tmp_path / "pixels.mat",
-        {"Radius": pixels[None], "CircleFitPar": centres, "CircleXY": edges},
-    )
+    content = {"Radius": pixels[None], "CircleFitPar": centres, "CircleXY": edges}
     with pytest.raises(InputDataError, match=r"no column of times is found .*frame_interval="):
-        load_traces(tmp_path / "pixels.mat")
-    for name in ("table", "pixels"):
-        said = {"pixel_size_m": 3.2e-6, "frame_rate_fps": 1e6}
-        (tmp_path / f"{name}.json").write_text(json.dumps(said))
-    check(load_traces(tmp_path / "table.csv"), digits=1e-5)
-    traces = load_traces(tmp_path / "pixels.mat")
+        load_saved(tmp_path, content, "pixels.mat")
+    traces = load_saved(tmp_path, content, "pixels.mat", beside=SCALES)
     check(traces)
     assert (
         "row(s) 1-2 (2 in all): radius 0, negative or NaN before the first frame" in traces.report()
@@ -109,8 +98,7 @@ def test_that_a_curve_of_bubbletrack_has_marks_for_frames_without_a_bubble(tmp_p
         times[4] = 0.0
         content = {"R": radius[:, None], "t": times[:, None]}
         content |= {"RmaxAll": np.array([[200.5]]), "RmaxTimeLoc": np.array([[4.4e-6]])}
-    scipy.io.savemat(tmp_path / "gel.mat", content)
-    traces = load_traces(tmp_path / "gel.mat")
+    traces = load_saved(tmp_path, content)
     (trace,) = traces
     kept = np.delete(RADII, 22)
     assert_close(trace.radius_m, torch.as_tensor(kept), rtol=1e-9, atol=0)
@@ -124,14 +112,12 @@ def test_that_a_curve_of_bubbletrack_has_marks_for_frames_without_a_bubble(tmp_p
 
 def test_that_single_marks_before_the_first_bubble_are_no_bubble_yet(tmp_path):
     rows = [f"{i},{-5 if i < 4 else 1e6 * RADII[i]}" for i in range(COUNT)]
-    (tmp_path / "gel.csv").write_text("\n".join(["t (us),R (um)", *rows]))
-    traces = load_traces(tmp_path / "gel.csv")
+    traces = load_text(tmp_path, "\n".join(["t (us),R (um)", *rows]))
     check(traces, first=4)
     assert traces.left_out[0].count == 4
     rows[10] = rows[11] = "10,-5"
-    (tmp_path / "bad.csv").write_text("\n".join(["t (us),R (um)", *rows]))
     with pytest.raises(InputDataError, match="which is negative"):
-        load_traces(tmp_path / "bad.csv")
+        load_text(tmp_path, "\n".join(["t (us),R (um)", *rows]), "bad.csv")
 
 
 @pytest.mark.parametrize(
@@ -140,8 +126,7 @@ def test_that_single_marks_before_the_first_bubble_are_no_bubble_yet(tmp_path):
 @pytest.mark.parametrize("scale", [1.0, 1e6])
 def test_that_imr_codes_save_metres_or_micrometres_and_seconds(tmp_path, radius, time, scale):
     content = {radius: scale * RADII, time: TIMES, "P_inf": 101325.0, "Req": scale * 4e-5}
-    scipy.io.savemat(tmp_path / "gel.mat", content)
-    traces = load_traces(tmp_path / "gel.mat")
+    traces = load_saved(tmp_path, content)
     check(traces, rest_radius_m=4e-5)
 
 
@@ -153,9 +138,7 @@ def test_that_imr_codes_save_metres_or_micrometres_and_seconds(tmp_path, radius,
     ],
 )
 def test_that_what_an_import_wizard_asks_for_may_stand_beside_the_file(tmp_path, content, said):
-    scipy.io.savemat(tmp_path / "gel.mat", content)
-    (tmp_path / "gel.json").write_text(json.dumps(said | {"frame_rate_fps": 1e6}))
-    check(load_traces(tmp_path / "gel.mat"))
+    check(load_saved(tmp_path, content, beside=said | {"frame_rate_fps": 1e6}))
 
 
 def test_that_names_of_imr_codes_do_not_stand_for_other_units(tmp_path):
@@ -164,9 +147,8 @@ def test_that_names_of_imr_codes_do_not_stand_for_other_units(tmp_path):
         "R over Rmax": {"R2": RADII / RADII.max(), "t2": TIMES},
         "other names": {"rad": 1e6 * RADII, "time": TIMES},
     }.items():
-        scipy.io.savemat(tmp_path / "gel.mat", content)
         with pytest.raises(InputDataError, match=r"no unit\. If this is right, add --layout"):
-            print(name, load_traces(tmp_path / "gel.mat"))
+            print(name, load_saved(tmp_path, content))
 
 
 def test_that_a_result_with_its_experiment_gives_the_experiment(tmp_path):
@@ -175,19 +157,18 @@ def test_that_a_result_with_its_experiment_gives_the_experiment(tmp_path):
     fit["name"] = [["G", "mu", "alpha"]]
     fit["value"] = [[1e4, 0.1, 0.2]]
     simulated = {"t_sim": TIMES, "R_sim": RADII, "R1_nondim_exp": RADII, "t_nondim_exp": TIMES}
-    scipy.io.savemat(tmp_path / "fit.mat", {"struct_best_fit": fit})
     with pytest.raises(
         InputDataError,
         match=r"fit\.mat: holds the parameters of a fit \(struct_best_fit\) and no curve; give",
     ):
-        load_traces(tmp_path / "fit.mat")
+        load_saved(tmp_path, {"struct_best_fit": fit}, "fit.mat")
     whole = {"struct_best_fit": fit, "t_exp": TIMES, "R1_exp": RADII, **simulated}
-    scipy.io.savemat(tmp_path / "whole.mat", whole)
-    check(load_traces(tmp_path / "whole.mat"))
-    scipy.io.savemat(
-        tmp_path / "nested.mat", {"struct_best_fit": {"t_exp": TIMES, "R1_exp": RADII, "G": 1e4}}
+    check(load_saved(tmp_path, whole, "whole.mat"))
+    check(
+        load_saved(
+            tmp_path, {"struct_best_fit": {"t_exp": TIMES, "R1_exp": RADII, "G": 1e4}}, "nested.mat"
+        )
     )
-    check(load_traces(tmp_path / "nested.mat"))
 
 
 def test_that_structs_of_experiments_are_curves(tmp_path):
@@ -196,13 +177,11 @@ def test_that_structs_of_experiments_are_curves(tmp_path):
     expts = np.zeros((1, 3), dtype=dtype)
     for i, rest in enumerate((4e-5, np.nan, 5e-5)):
         expts[0, i] = (TIMES[None], RADII[None], RADII.max(), rest)
-    scipy.io.savemat(tmp_path / "gel.mat", {"expts": expts})
-    traces = load_traces(tmp_path / "gel.mat")
+    traces = load_saved(tmp_path, {"expts": expts})
     check(traces, count=3, max_radius_m=RADII.max())
     assert [trace.given.rest_radius_m for trace in traces] == [4e-5, None, 5e-5]
     assert traces.ids == ("gel_01", "gel_02", "gel_03")
-    scipy.io.savemat(tmp_path / "one.mat", {"expts": expts[:, :1]})
-    check(load_traces(tmp_path / "one.mat"), max_radius_m=RADII.max())
+    check(load_saved(tmp_path, {"expts": expts[:, :1]}, "one.mat"), max_radius_m=RADII.max())
 
 
 def test_that_an_empty_cell_of_imr_prime_is_left_out_and_said(tmp_path):
@@ -214,8 +193,7 @@ def test_that_an_empty_cell_of_imr_prime_is_left_out_and_said(tmp_path):
         "t_nondim_All": as_cells([TIMES / scale + 1e-3, empty, TIMES / scale + 1e-3]),
         "RmaxList": np.array([[RADII.max(), 0.0, RADII.max()]]),
     }
-    scipy.io.savemat(tmp_path / "gel.mat", content)
-    traces = load_traces(tmp_path / "gel.mat")
+    traces = load_saved(tmp_path, content)
     check(traces, count=2, max_radius_m=RADII.max())
     assert traces.ids == ("gel_01", "gel_03")
     assert [(x.experiment_id, x.reason) for x in traces.left_out] == [("gel_02", "an empty cell")]
@@ -231,9 +209,8 @@ def test_that_an_empty_cell_of_imr_prime_is_left_out_and_said(tmp_path):
 def test_that_empty_cells_alone_hold_no_curve(tmp_path, cells, message):
     empty = as_cells([np.empty((0, 0))] * cells)
     content = {"R_nondim_All": empty, "t_nondim_All": empty, "RmaxList": np.array([2e-4, 1e-4])}
-    scipy.io.savemat(tmp_path / "gel.mat", content)
     with pytest.raises(InputDataError, match=message):
-        load_traces(tmp_path / "gel.mat")
+        load_saved(tmp_path, content)
 
 
 @pytest.mark.parametrize("where", ["file", "beside"])
@@ -251,13 +228,11 @@ def test_that_dimensionless_times_are_undone_with_the_density_and_pressure_of_th
     else:
         medium = {"medium": {"density": 1064.0, "pressure": [95000.0, 500.0]}}
         (tmp_path / "gel.json").write_text(json.dumps(medium))
-    scipy.io.savemat(tmp_path / "gel.mat", content)
-    traces = load_traces(tmp_path / "gel.mat")
+    traces = load_saved(tmp_path, content)
     check(traces, max_radius_m=RADII.max())
     assert "undone with 1064 kg/m^3 and 95000 Pa" in traces.notes[1]
-    scipy.io.savemat(tmp_path / "gel.mat", content | {"rho": -1.0})
     with pytest.raises(InputDataError, match=r"'rho' \(density\) is .*one positive number"):
-        load_traces(tmp_path / "gel.mat")
+        load_saved(tmp_path, content | {"rho": -1.0})
 
 
 @pytest.mark.parametrize("turned", [False, True])
@@ -266,31 +241,25 @@ def test_that_a_matrix_of_curves_beside_their_times_is_a_curve_a_row_or_column(t
     curves = 1e6 * np.stack([RADII] * 3)
     matrix = curves.T if turned else curves
     content = {"Rnew": matrix, "t": TIMES, "magnification": np.full(3, 20.0)}
-    scipy.io.savemat(tmp_path / "RofTdata.mat", content)
-    check(load_traces(tmp_path / "RofTdata.mat"), count=3)
+    check(load_saved(tmp_path, content, "RofTdata.mat"), count=3)
 
 
 def test_that_inca_gives_converted_curves_its_table_and_what_it_exports_for_imr(tmp_path):
     converted = {"AverageRadius": 1e6 * RADII, "TimeVector": TIMES, "Area": np.ones(COUNT)}
     info = np.zeros(COUNT, dtype=[("AverageRadius", object), ("Area", object)])
-    scipy.io.savemat(
-        tmp_path / "saved.mat",
-        {"alternatePlotSet": converted, "BubbleRadius": 1e6 * RADII / 3.2, "infoStruct": info},
+    check(
+        load_saved(
+            tmp_path,
+            {"alternatePlotSet": converted, "BubbleRadius": 1e6 * RADII / 3.2, "infoStruct": info},
+            "saved.mat",
+        )
     )
-    check(load_traces(tmp_path / "saved.mat"))
-    scales = json.dumps({"pixel_size_m": 3.2e-6, "frame_rate_fps": 1e6})
-    terms = np.ones((COUNT, 4))
-    scipy.io.savemat(
-        tmp_path / "imr.mat", {"data": {"RoFT": 1e6 * RADII / 3.2, "t": TIMES, "FTs": terms}}
-    )
-    (tmp_path / "imr.json").write_text(scales)
-    check(load_traces(tmp_path / "imr.mat"))
+    exported = {"RoFT": 1e6 * RADII / 3.2, "t": TIMES, "FTs": np.ones((COUNT, 4))}
+    check(load_saved(tmp_path, {"data": exported}, "imr.mat", beside=SCALES))
     names = "Centroid;Average Radius;Area;Perimeter;Surface Area;Volume;a0;b0;a1;b1"
     rows = [f'"60, 61";{r:.9g};1;1;1;1;1;1;{r:.9g};{r:.9g}' for r in 1e6 * RADII / 3.2]
     lost = ";".join(["NaN"] * 10)
-    (tmp_path / "table.csv").write_text("\n".join([names, lost, *rows]))
-    (tmp_path / "table.json").write_text(scales)
-    check(load_traces(tmp_path / "table.csv"), digits=1e-8)
+    check(load_text(tmp_path, "\n".join([names, lost, *rows]), beside=SCALES), digits=1e-8)
 
 
 @pytest.mark.parametrize("version", ["v7", "v7.3"])
@@ -318,26 +287,24 @@ def test_that_tables_timetables_and_strings_of_matlab_are_read(tmp_path, version
 
 def test_that_names_of_cells_and_numbers_of_frames_tell_no_rows_apart(tmp_path):
     curves = {"R_um": as_cells([1e6 * RADII] * 2), "t_us": 1e6 * TIMES}
-    scipy.io.savemat(tmp_path / "cells.mat", curves | {"id": as_cells(["first", "second"])})
-    check(load_traces(tmp_path / "cells.mat"), count=2)
+    check(
+        load_saved(tmp_path, curves | {"id": as_cells(["first", "second"])}, "cells.mat"), count=2
+    )
     frames = {"id": np.arange(COUNT), "R_um": 1e6 * RADII, "t_us": 1e6 * TIMES}
-    scipy.io.savemat(tmp_path / "frames.mat", {"shot": frames})
-    check(load_traces(tmp_path / "frames.mat"))
+    check(load_saved(tmp_path, {"shot": frames}, "frames.mat"))
     axes = {"a_um": as_cells([1e6 * RADII] * 3), "b_um": as_cells([1e6 * RADII] * 2)}
-    scipy.io.savemat(tmp_path / "axes.mat", axes | {"t_us": 1e6 * TIMES})
     with pytest.raises(InputDataError, match=r"'b_um' holds 2 vectors and 'a_um' 3; .* half axes"):
-        load_traces(tmp_path / "axes.mat")
+        load_saved(tmp_path, axes | {"t_us": 1e6 * TIMES}, "axes.mat")
 
 
 def test_that_digitised_curves_are_sorted_where_this_is_asked_for(tmp_path):
     order = np.random.default_rng(1).permutation(COUNT)
     order = np.append(order, order[0])
     rows = [f"{1e6 * TIMES[i]:.6g},{1e6 * RADII[i]:.9g}" for i in order]
-    (tmp_path / "gel.csv").write_text("\n".join(["t (us),R (um)", *rows]))
     with pytest.raises(
         InputDataError, match=r"goes back from .*let --sort .*sort the rows by time"
     ):
-        load_traces(tmp_path / "gel.csv")
+        load_text(tmp_path, "\n".join(["t (us),R (um)", *rows]))
     traces = load_traces(tmp_path / "gel.csv", sort=True)
     check(traces, digits=1e-8)
     assert [(x.rows, x.reason) for x in traces.left_out] == [
@@ -351,27 +318,22 @@ def test_that_two_half_axes_are_a_radius_and_an_asphericity(tmp_path):
     along = 1e6 * RADII * stretch ** (-2 / 3)
     across[0] = 0.0
     rows = [f"{1e6 * t},{a:.12g},{b:.12g}" for t, a, b in zip(TIMES, across, along, strict=True)]
-    (tmp_path / "gel.csv").write_text("\n".join(["t (us),a (um),b (um)", *rows]))
-    traces = load_traces(tmp_path / "gel.csv")
+    traces = load_text(tmp_path, "\n".join(["t (us),a (um),b (um)", *rows]))
     check(traces, first=1)
     (trace,) = traces
     assert trace.asphericity is not None
     assert_close(trace.asphericity, torch.as_tensor(stretch[1:] - 1.0), rtol=1e-9, atol=1e-12)
     assert "half axes a and b of an ellipsoid" in traces.notes[0]
     assert "asphericity a/b - 1 from -0.095 to 0.1" in traces.report()
-    (tmp_path / "gel.csv").write_text("\n".join(["t (us),a (um),b (mm)", *rows]))
     with pytest.raises(InputDataError, match=r"'a \(um\)', 'b \(mm\)' differ in their units"):
-        load_traces(tmp_path / "gel.csv")
+        load_text(tmp_path, "\n".join(["t (us),a (um),b (mm)", *rows]))
 
 
 def test_that_lengths_of_fitted_ellipses_take_their_scales_from_the_json_beside(tmp_path):
     """Ellipses that were fitted to frames: half axes in pixels, -1 where there was no bubble."""
     lengths = np.concatenate([[-1.0, -1.0], 1e6 * RADII / 3.2])
     axes = {"a_lengths": 1.1 ** (1 / 3) * lengths, "b_lengths": 1.1 ** (-2 / 3) * lengths}
-    scipy.io.savemat(tmp_path / "gel.mat", axes)
-    said = {"pixel_size_m": 3.2e-6, "frame_rate_fps": 1e6}
-    (tmp_path / "gel.json").write_text(json.dumps(said))
-    traces = load_traces(tmp_path / "gel.mat")
+    traces = load_saved(tmp_path, axes, beside=SCALES)
     check(traces)
     assert traces.left_out[0].count == 2
     assert traces[0].asphericity is not None

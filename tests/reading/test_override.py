@@ -1,12 +1,14 @@
 """What a person states about a curve counts before the frames, the file and the laboratory."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 
 from imr_torch.errors import InputDataError
+from imr_torch.files import read_json
 from imr_torch.float64 import linspace
 from imr_torch.observe import (
     Given,
@@ -18,6 +20,7 @@ from imr_torch.observe import (
     prepare,
     state,
 )
+from tests.results.documents import write_table
 
 
 def trace(override: Override | None = None) -> RadiusTrace:
@@ -33,17 +36,10 @@ def trace(override: Override | None = None) -> RadiusTrace:
 
 
 def write(folder: Path, curves: tuple[str, ...] = ("shot",), beside: dict | None = None) -> Path:
-    rows = ["experiment_id,time_s,radius_m"]
-    for name in curves:
-        one = trace()
-        rows += [
-            f"{name},{t!r},{r!r}"
-            for t, r in zip(one.time_s.tolist(), one.radius_m.tolist(), strict=True)
-        ]
-    (folder / "gel.csv").write_text("\n".join(rows))
     if beside is not None:
         (folder / "gel.json").write_text(json.dumps(beside))
-    return folder / "gel.csv"
+    records = TraceSet(tuple(replace(trace(), experiment_id=name) for name in curves))
+    return write_table(records, folder / "gel.csv")
 
 
 def test_that_what_is_stated_replaces_what_is_found_and_the_rest_is_found():
@@ -101,7 +97,7 @@ def test_that_what_is_stated_is_read_again_and_counts_before_the_laboratory(tmp_
         ],
     }
     path = write(tmp_path, ("a", "b"), said)
-    before = json.loads((tmp_path / "gel.json").read_text())
+    before = read_json(tmp_path / "gel.json")
     state(path, "b", {"Rinf_m": 6e-5, "Rmax_m": None}, alone=False)
     state(path, "a", {"Rinf_m": 4e-5}, alone=False)
     traces = load_traces(path)
@@ -109,10 +105,7 @@ def test_that_what_is_stated_is_read_again_and_counts_before_the_laboratory(tmp_
     assert traces["a"].given.rest_radius_m == 5e-5
     state(path, "a", {}, alone=False)
     state(path, "b", {}, alone=False)
-    assert (
-        json.loads((tmp_path / "gel.json").read_text())["experiments"][0]
-        == before["experiments"][0]
-    )
+    assert read_json(tmp_path / "gel.json")["experiments"][0] == before["experiments"][0]
     assert load_traces(path)["a"].given.override is None
 
 

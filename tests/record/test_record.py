@@ -1,6 +1,5 @@
 """The record before any gel: pressures and what they look like, on bubbles whose answer is known."""
 
-import json
 import re
 from dataclasses import replace
 
@@ -12,6 +11,7 @@ import torch
 from benchmarks.gap.single_curves import characterize_traces
 from benchmarks.spoilt_records import BAD, FITS, SHOTS, film_bubble, judge_shots, simulate_shots
 from imr_torch.errors import InputDataError
+from imr_torch.files import read_json
 from imr_torch.observe import Given, RadiusTrace, TraceSet, load_traces, prepare
 from imr_torch.record import ALL_ALIKE, RecordOptions, describe_record
 from imr_torch.record.figures import record_figure
@@ -200,7 +200,7 @@ def test_skewness_of_measured_sets(name, low, high, shared):
 
 def test_the_second_cycle_of_the_full_physics_of_another_code(shared):
     """Its gas is hot after the first collapse, which looks like less modulus and more viscosity."""
-    cases = json.loads((shared / "reference" / "authors_code_public.json").read_text())["cases"]
+    cases = read_json(shared / "reference" / "authors_code_public.json")["cases"]
     curves = np.load(shared / "reference" / "oracle_curves_public.npz")
     (case,) = (case for case in cases if case["id"] == "P06")
     radius = curves["estrada2018_R_1601"][[case["id"] for case in cases].index("P06")][::8]

@@ -1,15 +1,21 @@
-"""A characterisation of simulated curves as a document, for tests of what is drawn from one."""
+"""Simulated curves, as traces and as a table, their characterisation as a document, and the part of a
+document that a population is.
+"""
+
+from pathlib import Path
+from typing import Any
 
 import torch
 
 from imr_torch import PolytropicSimulator, characterize, wide_prior
 from imr_torch.assimilate import SearchOptions
 from imr_torch.characterization import Characterization
-from imr_torch.float64 import linspace, randn, tensor
+from imr_torch.float64 import arange, linspace, randn, tensor
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import RadiusTrace, TraceSet
 from imr_torch.random import generator
 from imr_torch.results import header
+from imr_torch.simulate import Conditions
 from imr_torch.units import Surroundings
 
 GEL = {"G": 8310.0, "mu": 0.093}
@@ -38,6 +44,57 @@ def traces(
         time_s = 5e-6 + times * Surroundings().time_scale(size)
         found.append(RadiusTrace(label, time_s, size * radius.clamp_min(1e-3), "folder/gel.csv"))
     return TraceSet(tuple(found))
+
+
+def shot(*, seed: int = 3, medium: Surroundings | None = None) -> TraceSet:
+    """A bubble of 300 um and R_inf* .21 as a camera of .003 in R* films it every microsecond."""
+    medium = medium or Surroundings()
+    size = 300e-6
+    times = 1e-6 * arange(1, 75)
+    bubbles = PolytropicSimulator(Conditions(surroundings=medium))
+    design = tensor([medium.weber(size), 0.21])
+    radius = bubbles(PARAMETERS.pack(GEL), design, times / medium.time_scale(size)).radius
+    filmed = radius + 0.003 * randn(len(times), generator=torch.Generator().manual_seed(seed))
+    return TraceSet((RadiusTrace("a", times, size * filmed, "simulated"),))
+
+
+def write_table(records: TraceSet, path: Path) -> Path:
+    """Curves as a table in SI units."""
+    rows = [
+        f"{trace.experiment_id},{time!r},{radius!r}"
+        for trace in records
+        for time, radius in zip(trace.time_s.tolist(), trace.radius_m.tolist(), strict=True)
+    ]
+    path.write_text("\n".join(["experiment_id,time_s,radius_m", *rows]))
+    return path
+
+
+BAYES = {"value": 4.0, "error": 0.1, "reliable": True}
+
+
+def population(**changes: Any) -> dict[str, Any]:
+    """What a document says of a population of two shots."""
+    entry = {
+        "median": [5e3, 6e3, 7e3],
+        "next_shot": [4e3, 6e3, 9e3],
+        "scatter": [0.1, 0.2, 0.4],
+        "scatter_of": "ln G",
+    }
+    shot = {"given_all": {"G": [4e3, 5e3, 6e3]}, "alone": {"G": [3e3, 5e3, 7e3]}}
+    draws = {"effective_samples": 90.0, "count": 100, "pareto_k": 0.1}
+    found = {
+        "model": "nhkv",
+        "sentence": "The gel differs between the 2 shots, by more than their errors.",
+        "log_bayes_factor": BAYES,
+        "prior": {"kind": "half-normal", "scale": 0.3},
+        "parameters": {"G": entry | {"log_bayes_factor": BAYES}},
+        "shots": [shot | {"id": name, "smooth_misses": 0.1} for name in ("$x_{bad$", "b")],
+        "scales": [{"scale": 0.15, "log_bayes_factor": BAYES, "scatter": {"G": entry["scatter"]}}],
+        "noise": {"scale": 1.2},
+        "draws": draws | {"reliable": True, "worst_error": 0.1},
+        "cautions": [],
+    }
+    return found | changes
 
 
 def fitted(records: TraceSet, models=("nhkv",)) -> Characterization:

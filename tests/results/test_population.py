@@ -1,6 +1,5 @@
 """The population in a result document: figure and part of the page, and the command that makes it."""
 
-import json
 import re
 
 import matplotlib.pyplot as plt
@@ -9,35 +8,13 @@ import pytest
 from imr_torch import characterize, wide_prior
 from imr_torch.cli import main
 from imr_torch.errors import InputDataError
+from imr_torch.files import read_json
 from imr_torch.html import _make_environment
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Noise
 from imr_torch.results import draw_figures
 from imr_torch.results.intervals import population_figure
-from tests.results.documents import SIMULATOR, traces
-
-BAYES = {"value": 4.0, "error": 0.1, "reliable": True}
-
-
-def population(**changes) -> dict:
-    entry = {
-        "median": [5e3, 6e3, 7e3],
-        "next_shot": [4e3, 6e3, 9e3],
-        "scatter": [0.1, 0.2, 0.4],
-        "scatter_of": "ln G",
-    }
-    shot = {"id": "$x_{bad$", "given_all": {"G": [4e3, 5e3, 6e3]}, "alone": {"G": [3e3, 5e3, 7e3]}}
-    found = {
-        "sentence": "The gel differs between the 2 shots, by more than their errors.",
-        "log_bayes_factor": BAYES,
-        "prior": {"scale": 0.3},
-        "parameters": {"G": entry | {"log_bayes_factor": BAYES}},
-        "shots": [shot, shot | {"id": "b"}],
-        "scales": [{"scale": 0.15, "log_bayes_factor": BAYES}],
-        "noise": {"scale": 1.2},
-        "cautions": ["mu rises."],
-    }
-    return found | changes
+from tests.results.documents import BAYES, SIMULATOR, population, traces, write_table
 
 
 def test_that_every_shot_is_drawn_twice_beside_the_median():
@@ -59,7 +36,7 @@ def page_part(found: dict) -> str:
 
 
 def test_that_the_page_states_median_scatter_and_evidence():
-    text = page_part(population())
+    text = page_part(population(cautions=["mu rises."]))
     cells = re.findall("<td>(.*?)</td>", text)
     assert cells[1:4] == [
         "6 kPa (90 %: 5 to 7)",
@@ -72,18 +49,6 @@ def test_that_the_page_states_median_scatter_and_evidence():
     assert "above 30 nats" in first
 
 
-def _written(folder, count: int) -> str:
-    lines = ["experiment_id,time_s,radius_m"]
-    for trace in traces(tuple("abc"[:count])):
-        lines += [
-            f"{trace.experiment_id},{t!r},{r!r}"
-            for t, r in zip(trace.time_s.tolist(), trace.radius_m.tolist(), strict=True)
-        ]
-    path = folder / "gel.csv"
-    path.write_text("\n".join(lines))
-    return str(path)
-
-
 def test_that_the_command_writes_report_json_figure_and_page(
     rendered, few_deviations, tmp_path, capsys
 ):
@@ -91,8 +56,9 @@ def test_that_the_command_writes_report_json_figure_and_page(
     page = tmp_path / "page.html"
     known = "--physics polytropic --rest-radius 0.2:0.01 --noise published"
     options = f"--models nhkv --population {known} --quiet --out {out} --html {page}"
-    assert main(["characterize", _written(tmp_path, 3), *options.split()]) == 0
-    document = json.loads((out / "characterize.json").read_text())
+    gel = write_table(traces(("a", "b", "c")), tmp_path / "gel.csv")
+    assert main(["characterize", str(gel), *options.split()]) == 0
+    document = read_json(out / "characterize.json")
     found = document["population"]
     assert found["verdict"] in ("none", "undecided")  # three shots of one gel
     assert [shot["id"] for shot in found["shots"]] == ["a", "b", "c"]

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from imr_torch.assimilate import Assimilation, ModelFit, SearchOptions, Verdict, assimilate, weigh
+from imr_torch.assimilate import Assimilation, ModelFit, Verdict, weigh
 from imr_torch.assimilate.importance import are_reliable
 from imr_torch.errors import InputDataError
 from imr_torch.float64 import eye, randn, zeros
@@ -24,15 +24,14 @@ from tests.linear import (
     LinearSimulator,
     exact,
     experiments,
+    fit_linear,
     prior,
     tensor,
 )
 
-OPTIONS = SearchOptions(raw_samples=24)
-
 
 def fitted(batch: ExperimentBatch, belief: Belief | None = None) -> Assimilation:
-    return assimilate(belief or prior(), batch, LinearSimulator(), seed=1, options=OPTIONS)
+    return fit_linear(batch, belief=belief or prior())
 
 
 def weighted(

@@ -11,8 +11,8 @@ import torch
 from scipy.integrate import solve_ivp
 from torch import Tensor
 
-from imr_torch.float64 import linspace
-from imr_torch.material import MATERIALS, PARAMETERS
+from imr_torch.float64 import linspace, rand
+from imr_torch.material import MATERIALS, PARAMETERS, reference_case
 from imr_torch.simulate import (
     LIQUIDS,
     PRESETS,
@@ -74,6 +74,14 @@ def gel(**values: float) -> Tensor:
 
 def gel_of(model: str) -> Tensor:
     return gel(**{name: SI[name] for name in MATERIALS[model].names})
+
+
+def draw_bubbles(count: int, seed: int) -> tuple[Tensor, Tensor]:
+    """Gels of the paper's prior, ``count x p``, and designs all over its box, ``count x 2``."""
+    low, high = tensor([100.0, 0.14], [1000.0, 0.30])
+    unit = rand(count, 2, generator=torch.Generator().manual_seed(seed))
+    gels = reference_case("stiff-pa").prior.sample(count, seed=seed).parameters
+    return gels, low + (high - low) * unit
 
 
 def sampled(pressure: Callable[[np.ndarray], np.ndarray], last: float = 5e-4) -> TabulatedDriving:

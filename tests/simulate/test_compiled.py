@@ -15,7 +15,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from imr_torch.errors import EngineWarning, InputDataError
+from imr_torch.errors import EngineWarning, InputDataError, PrecisionWarning
 from imr_torch.float64 import arange
 from imr_torch.material import LIBRARY, MATERIALS, PARAMETERS, PARTS, TERMS, StressTerm
 from imr_torch.material.viscous import newtonian
@@ -333,13 +333,16 @@ def test_that_a_law_without_a_compiled_form_is_no_obstacle_where_it_does_not_act
         assert bool(PolytropicSimulator()(gel(mu=0.1), DESIGNS, TIMES).ok.all())
 
 
-@pytest.mark.filterwarnings("ignore::imr_torch.errors.PrecisionWarning")
-def test_that_float32_runs_on_tensors_and_says_why():
+def test_that_float32_runs_on_tensors_and_says_why_and_that_it_is_short():
     engines._warn_once.cache_clear()
     times = TIMES[:20]
-    with pytest.warns(EngineWarning, match="computes in float64, not in torch.float32"):
+    with (
+        pytest.warns(EngineWarning, match="computes in float64, not in torch.float32"),
+        pytest.warns(PrecisionWarning, match="float32 is too short for inference"),
+    ):
         short = PolytropicSimulator()(gel(mu=0.1).float(), DESIGNS.float(), times.float())
     known = PolytropicSimulator()(gel(mu=0.1), DESIGNS, times)
+    assert short.radius.dtype == torch.float32
     assert float((short.radius - known.radius).abs().max()) < 1e-4
 
 

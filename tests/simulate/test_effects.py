@@ -174,46 +174,42 @@ def test_that_beyond_it_does_something_unless_it_is_the_cameras(solutions, kind,
 # ---------------------------------------------------------------- each is what its name says
 
 
-@BOTH
-def test_that_sound_speed_is_that_of_the_surroundings(kind):
-    faster = Conditions(Surroundings(sound_speed=1430.0 * math.exp(-1.2)))
-    assert float((radii(kind, sound_speed=-1.2) - radii(kind, faster)).abs().max()) < 1e-9
+ATMOSPHERE = Surroundings().far_field_pressure
+SECOND = float(Surroundings().time_scale(Surroundings().max_radius(DESIGN[0])))
+PULSE_WIDTH = math.exp(-1.5) * SECOND
+AS_CONDITIONS = {
+    "sound speed": (
+        {"sound_speed": -1.2},
+        Conditions(Surroundings(sound_speed=1430.0 * math.exp(-1.2))),
+    ),
+    "a constant drive": (
+        {"far_field_pressure": 0.1},
+        Conditions(driving=TabulatedDriving((0.0, 1e-3, 2e-3), (0.1 * ATMOSPHERE,) * 3)),
+    ),
+    "initial velocity": (
+        {"residual_velocity": 0.1},
+        Conditions(initial_velocity=0.1 * Surroundings().velocity_scale),
+    ),
+    "a sine": (
+        {"sound_field": 0.2, "sound_frequency": 1.3, "sound_phase": 0.6},
+        Conditions(driving=sine(0.2 * ATMOSPHERE, math.exp(1.3) / (2.0 * math.pi * SECOND), 0.6)),
+    ),
+    "a Gaussian pulse": (
+        {"pulse": 0.5, "pulse_time": 0.6, "pulse_width": -1.5},
+        Conditions(
+            driving=sampled(
+                lambda t: 0.5 * ATMOSPHERE * np.exp(-(((t - 0.6 * SECOND) / PULSE_WIDTH) ** 2))
+            )
+        ),
+    ),
+}
 
 
 @BOTH
-def test_that_far_field_pressure_is_a_constant_drive(kind):
-    constant = Conditions(driving=TabulatedDriving((0.0, 1e-3, 2e-3), (0.1 * 101325.0,) * 3))
-    assert float((radii(kind, far_field_pressure=0.1) - radii(kind, constant)).abs().max()) < 1e-9
-
-
-@BOTH
-def test_that_residual_velocity_is_the_initial_velocity(kind):
-    moving = Conditions(initial_velocity=0.1 * Surroundings().velocity_scale)
-    assert float((radii(kind, residual_velocity=0.1) - radii(kind, moving)).abs().max()) < 1e-12
-
-
-@BOTH
-def test_that_the_sound_field_is_a_sine(kind):
-    second = float(Surroundings().time_scale(Surroundings().max_radius(DESIGN[0])))
-    driving = sine(0.2 * 101325.0, math.exp(1.3) / (2.0 * math.pi * second), 0.6)
-    ours = radii(kind, sound_field=0.2, sound_frequency=1.3, sound_phase=0.6)
-    assert float((ours - radii(kind, Conditions(driving=driving))).abs().max()) < 1e-9
-
-
-@BOTH
-def test_that_the_pulse_is_gaussian(kind):
-    second = float(Surroundings().time_scale(Surroundings().max_radius(DESIGN[0])))
-    width = math.exp(-1.5) * second
-    driving = sampled(lambda t: 0.5 * 101325.0 * np.exp(-(((t - 0.6 * second) / width) ** 2)))
-    pulse = Conditions(driving=driving)
-    assert (
-        float(
-            (radii(kind, pulse=0.5, pulse_time=0.6, pulse_width=-1.5) - radii(kind, pulse))
-            .abs()
-            .max()
-        )
-        < 1e-9
-    )
+@pytest.mark.parametrize(("effect", "conditions"), AS_CONDITIONS.values(), ids=AS_CONDITIONS)
+def test_that_an_effect_is_that_of_the_conditions_that_it_stands_for(kind, effect, conditions):
+    error = 1e-12 if conditions.initial_velocity else 1e-9
+    assert float((radii(kind, **effect) - radii(kind, conditions)).abs().max()) < error
 
 
 def test_that_vapour_pressure_is_that_of_a_warmer_liquid():

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.testing import assert_close
 
-from imr_torch.errors import InputDataError, PrecisionWarning, ShapeError
+from imr_torch.errors import InputDataError, ShapeError
 from imr_torch.float64 import linspace, rand
 from imr_torch.material import MATERIALS, PARAMETERS
 from imr_torch.simulate import (
@@ -24,6 +24,9 @@ from imr_torch.simulate import (
 )
 from imr_torch.simulate.engines import ENGINES, Engine
 from tests.simulate.bubble import DESIGN, FINE, GEL, gel, gel_of, grid, tensor
+
+AT = tensor(*DESIGN)
+BUBBLE = gel(**GEL), AT, grid()
 
 # ---------------------------------------------------------------- batches
 
@@ -75,7 +78,7 @@ def test_that_batch_shapes_broadcast(engine):
 
     given = (
         varied(gel(G=5e3, mu=0.1), 3, 1),
-        varied(tensor(*DESIGN), 2),
+        varied(AT, 2),
         varied(grid(2.0, 9)[1:], 3, 1),
     )
     solution = PolytropicSimulator(engine=engine)(*given)
@@ -92,12 +95,11 @@ def test_that_the_frames_asked_for_do_not_change_the_bubble(engine):
     sparse = grid(3.0, 7)
     dense = grid(3.0, 601)
     one, other = (
-        PolytropicSimulator(engine=engine)(gel(**GEL), tensor(*DESIGN), t).radius
-        for t in (sparse, dense)
+        PolytropicSimulator(engine=engine)(gel(**GEL), AT, t).radius for t in (sparse, dense)
     )
     assert_close(one, other[::100], rtol=0.0, atol=1e-13)
     assert float(
-        PolytropicSimulator(engine=engine)(gel(**GEL), tensor(*DESIGN), tensor(1.5)).radius
+        PolytropicSimulator(engine=engine)(gel(**GEL), AT, tensor(1.5)).radius
     ) == pytest.approx(float(other[300]))
 
 
@@ -108,7 +110,7 @@ def test_that_the_frames_asked_for_do_not_change_the_bubble(engine):
 @pytest.mark.parametrize("vapour", [True, False])
 def test_that_bubble_pressure_is_vapour_and_polytropic_gas(reference, vapour):
     gas = PolytropicGas(1.25, reference, vapour)  # type: ignore[arg-type]
-    solution = PolytropicSimulator(Conditions(gas=gas))(gel(**GEL), tensor(*DESIGN), grid())
+    solution = PolytropicSimulator(Conditions(gas=gas))(*BUBBLE)
     weber, rest = DESIGN
     p_v = 1.17e11 * math.exp(-5200.0 / 298.15) / 101325.0 if vapour else 0.0
     p_rest = 1.0 + 1.0 / (weber * rest) - p_v
@@ -131,7 +133,7 @@ def failing_batch() -> Tensor:
 
 @BOTH
 def test_that_a_failing_member_is_named_and_its_neighbours_are_not_disturbed(engine):
-    solution = PolytropicSimulator(engine=engine)(failing_batch(), tensor(*DESIGN), grid())
+    solution = PolytropicSimulator(engine=engine)(failing_batch(), AT, grid())
     assert solution.status.tolist() == [
         Status.DONE,
         Status.NON_FINITE,
@@ -140,7 +142,7 @@ def test_that_a_failing_member_is_named_and_its_neighbours_are_not_disturbed(eng
         Status.DONE,
     ]
     assert solution.ok.tolist() == [True, False, True, False, True]
-    alone = PolytropicSimulator(engine=engine)(gel(**GEL), tensor(*DESIGN), grid())
+    alone = PolytropicSimulator(engine=engine)(*BUBBLE)
     for i in (0, 2, 4):
         assert float((solution.radius[i] - alone.radius).abs().max()) < 1e-12
     for i in (1, 3):
@@ -153,14 +155,14 @@ def test_that_a_failing_member_is_named_and_its_neighbours_are_not_disturbed(eng
 @BOTH
 def test_that_running_out_of_steps_says_so_and_gives_what_was_reached(engine):
     short = PolytropicSimulator(engine=engine, stepping=Stepping(0.1, max_steps=32, retries=0))
-    solution = short(gel(**GEL), tensor(*DESIGN), grid(10.0, 101))
+    solution = short(gel(**GEL), AT, grid(10.0, 101))
     assert int(solution.status) == Status.TOO_MANY_STEPS
     assert "max_steps" in solution.summary()
     known = torch.isfinite(solution.radius)
     assert 1 < int(known.sum()) < 101
     assert not bool(known.diff().to(torch.int8).sum() > 1)
     full = PolytropicSimulator(engine=engine, stepping=Stepping(0.1))(
-        gel(**GEL), tensor(*DESIGN), grid(10.0, 101)
+        gel(**GEL), AT, grid(10.0, 101)
     )
     assert_close(solution.radius[known], full.radius[known], rtol=0.0, atol=1e-12)
 
@@ -212,25 +214,17 @@ def test_that_memory_that_fades_within_a_step_is_followed_at_the_limit_of_stabil
 # ---------------------------------------------------------------- bad input
 
 
-def test_that_float32_warns_and_still_computes():
-    with pytest.warns(PrecisionWarning, match="float32 is too short for inference"):
-        solution = PolytropicSimulator()(gel(**GEL).float(), tensor(*DESIGN), grid())
-    exact = PolytropicSimulator()(gel(**GEL), tensor(*DESIGN), grid())
-    assert solution.radius.dtype == torch.float32
-    assert float((solution.radius - exact.radius).abs().max()) < 1e-2
-
-
 @pytest.mark.parametrize(
     ("parameters", "designs", "times", "error", "message"),
     [
         (
             gel()[:-1],
-            tensor(*DESIGN),
+            AT,
             grid(),
             ShapeError,
             r"parameters has shape .*expected batch_shape x .*PARAMETERS.pack",
         ),
-        ({"G": 8310.0}, tensor(*DESIGN), grid(), InputDataError, r"not a dict; PARAMETERS.pack"),
+        ({"G": 8310.0}, AT, grid(), InputDataError, r"not a dict; PARAMETERS.pack"),
         (
             gel(),
             tensor(-1.0, 0.2),
@@ -241,14 +235,14 @@ def test_that_float32_warns_and_still_computes():
         (gel(), tensor(1000.0, 1.0), grid(), InputDataError, r"0 < R_inf\* < 1"),
         (
             gel(),
-            tensor(*DESIGN),
+            AT,
             tensor([0.0, 1.0], [1.0, 0.5]),
             InputDataError,
             r"times of batch member 1 do not increase",
         ),
         (
             gel(),
-            tensor(*DESIGN),
+            AT,
             tensor(-0.6, 1.0),
             InputDataError,
             r"times start at -0.6; .*growth is not simulated",

@@ -1,15 +1,16 @@
 """The polytropic simulator against SciPy on separately written equations, its own convergence, and another public code."""
 
-import json
-
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
+from imr_torch.files import read_json
 from imr_torch.simulate import STEPPINGS, Conditions, PolytropicGas, PolytropicSimulator, Stepping
 from imr_torch.units import Surroundings
 from tests.simulate.bubble import DESIGN, FINE, GEL, Reference, gel, grid, tensor
+
+AT = tensor(*DESIGN)
 
 SCENES = {
     "Newtonian": (Conditions(), {"mu": 0.05}, (1000.0, 0.25)),
@@ -60,16 +61,11 @@ def test_that_the_default_step_is_good_to_the_floor_of_the_noise():
 
 def test_that_named_steppings_are_ordered_by_their_error():
     exact = PolytropicSimulator(stepping=Stepping(0.02, max_steps=100_000))(
-        gel(**GEL), tensor(*DESIGN), grid()
+        gel(**GEL), AT, grid()
     ).radius
     errors = [
         float(
-            (
-                PolytropicSimulator(stepping=STEPPINGS[k])(
-                    gel(**GEL), tensor(*DESIGN), grid()
-                ).radius
-                - exact
-            )
+            (PolytropicSimulator(stepping=STEPPINGS[k])(gel(**GEL), AT, grid()).radius - exact)
             .abs()
             .max()
         )
@@ -102,7 +98,7 @@ def imrv2(shared):
     path = shared / "reference" / "imrv2_suite_public.json"
     if not path.exists():
         pytest.skip("the IMRv2 suite is not among the reference data")
-    document = json.loads(path.read_text())
+    document = read_json(path)
     models = ("none", "neo_hookean_kelvin_voigt", "quadratic_neo_hookean_kelvin_voigt")
     cases = [
         case

@@ -10,8 +10,8 @@ from torch import Tensor
 from torch.testing import assert_close
 
 from imr_torch.errors import InputDataError, ShapeError
-from imr_torch.float64 import linspace, rand, randn
-from imr_torch.material import PARAMETERS, material, reference_case
+from imr_torch.float64 import linspace, randn
+from imr_torch.material import PARAMETERS, material
 from imr_torch.simulate import (
     ACCURACIES,
     DESIGN,
@@ -26,7 +26,7 @@ from imr_torch.simulate import (
     solve_bundles,
 )
 from imr_torch.simulate.engines import ENGINES
-from tests.simulate.bubble import gel, grid, tensor
+from tests.simulate.bubble import draw_bubbles, gel, grid, tensor
 
 TIMES = linspace(0.0, 1.6, 33)
 NAMES = ("G", "mu", "alpha", *DESIGN)
@@ -40,14 +40,6 @@ SIMULATORS = [
     pytest.param(replace(FAST, engine="torchdiffeq"), id="transport on tensors"),
     pytest.param(PolytropicSimulator(engine="torchdiffeq"), id="polytropic on tensors"),
 ]
-
-
-def gels(count: int) -> tuple[Tensor, Tensor]:
-    random = torch.Generator().manual_seed(3)
-    low = torch.tensor([100.0, 0.14])
-    high = torch.tensor([1000.0, 0.30])
-    designs = low + (high - low) * rand(count, 2, generator=random)
-    return reference_case("stiff-pa").prior.sample(count, seed=3).parameters, designs
 
 
 def joined(parameters: Tensor, designs: Tensor, moves: Tensor) -> tuple[Tensor, Tensor]:
@@ -69,7 +61,7 @@ def relative(found: Tensor, expected: Tensor) -> float:
     ids=["transport", "polytropic"],
 )
 def test_that_they_are_the_differences_of_separate_fine_solves(simulator):
-    parameters, designs = gels(1)
+    parameters, designs = draw_bubbles(1, 3)
     _, jacobian = sensitivities(simulator, parameters, designs, TIMES, names=NAMES)
     size = torch.cat((parameters[0, PARAMETERS.index(NAMES[:3])], designs[0])).clamp_min(0.1)
     sides = [joined(parameters, designs, side * 2e-4 * torch.diag(size)) for side in (1.0, -1.0)]
@@ -78,7 +70,7 @@ def test_that_they_are_the_differences_of_separate_fine_solves(simulator):
 
 
 def test_that_the_default_accuracy_gives_them_to_two_percent():
-    parameters, designs = gels(6)
+    parameters, designs = draw_bubbles(6, 3)
     _, jacobian = sensitivities(TransportSimulator(), parameters, designs, TIMES, names=NAMES)
     _, exact = sensitivities(
         TransportSimulator(accuracy=Accuracy(1e-6)), parameters, designs, TIMES, names=NAMES
@@ -91,7 +83,7 @@ def test_that_the_default_accuracy_gives_them_to_two_percent():
 def test_that_a_bundle_answers_a_combination_of_moves_by_the_combination_of_sensitivities(
     simulator,
 ):
-    parameters, designs = gels(2)
+    parameters, designs = draw_bubbles(2, 3)
     _, jacobian = sensitivities(simulator, parameters, designs, TIMES, names=NAMES)
     direction = 1e-6 * tensor(300.0, -0.02, 0.1, 50.0, 0.02)
     moves = torch.stack((0.0 * direction, direction))
@@ -104,7 +96,7 @@ def test_that_a_bundle_answers_a_combination_of_moves_by_the_combination_of_sens
 
 @pytest.mark.parametrize("simulator", SIMULATORS)
 def test_that_the_leader_of_a_bundle_does_not_feel_its_followers(simulator):
-    parameters, designs = gels(3)
+    parameters, designs = draw_bubbles(3, 3)
     solution, _ = sensitivities(simulator, parameters, designs, TIMES, names=("G", "weber"))
     alone = simulator(parameters, designs, TIMES)
     for name, value in vars(alone).items():
@@ -113,7 +105,7 @@ def test_that_the_leader_of_a_bundle_does_not_feel_its_followers(simulator):
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_that_they_do_not_depend_on_neighbours_blocks_or_the_other_columns(engine, monkeypatch):
-    parameters, designs = gels(3)
+    parameters, designs = draw_bubbles(3, 3)
     simulator = replace(FAST, engine=engine)
     with monkeypatch.context() as patch:
         patch.setattr(TransportSimulator, "members", 9)
@@ -131,7 +123,7 @@ def test_that_members_of_a_bundle_differ_smoothly_and_separate_solves_do_not():
     """Jumps of the slope along a line of gels, as shares of the slope: decisions that change show
     in separate solves.
     """
-    parameters, designs = gels(1)
+    parameters, designs = draw_bubbles(1, 3)
     line = parameters.repeat(81, 1)
     simulator = TransportSimulator(accuracy=Accuracy(resolution=SMALL))
     line[:, 0] *= linspace(1.0, 1.02, 81)
@@ -148,7 +140,7 @@ def test_that_frames_before_the_maximum_are_as_smooth_as_the_others():
     """The first step is tiny; a polynomial through it would carry its rounding errors to the
     thirtyfold of it and more.
     """
-    parameters, designs = gels(1)
+    parameters, designs = draw_bubbles(1, 3)
     line = parameters.repeat(21, 1)
     line[:, 1] *= linspace(1.0, 1.01, 21)
     radius = FAST.bundle(line, designs, linspace(-0.04, 0.04, 9)).radius
@@ -240,7 +232,7 @@ def test_that_a_leader_saved_by_a_finer_step_takes_its_followers_along():
 
 
 def test_that_gradients_are_the_sensitivities():
-    parameters, designs = gels(2)
+    parameters, designs = draw_bubbles(2, 3)
     given = [x.clone().requires_grad_() for x in (parameters, designs, TIMES)]
     weights = randn(2, len(TIMES), generator=torch.Generator().manual_seed(0))
     simulator = PolytropicSimulator()
@@ -256,7 +248,7 @@ def test_that_gradients_are_the_sensitivities():
 
 def test_that_a_relaxation_time_has_a_sensitivity_where_it_is_not_zero():
     gel = PARAMETERS.pack({"G": 3e3, "mu": 0.1, "tau": tensor(0.0, 2e-6)})
-    shot = gels(1)[1]
+    shot = draw_bubbles(1, 3)[1]
     _, jacobian = sensitivities(FAST, gel, shot, TIMES, names=("tau", "mu"))
     assert bool(torch.isnan(jacobian[0, :, 0]).all())
     assert bool(torch.isfinite(jacobian[..., 1]).all())
@@ -268,7 +260,7 @@ def test_that_a_relaxation_time_has_a_sensitivity_where_it_is_not_zero():
 
 
 def test_that_gradients_sum_over_what_was_broadcast():
-    parameters, designs = gels(2)
+    parameters, designs = draw_bubbles(2, 3)
     gel = parameters[0].clone().requires_grad_()
     FEW(gel, designs[:, None], TIMES).radius.square().sum().backward()
     each = parameters[0].expand(2, -1).clone().requires_grad_()
@@ -307,7 +299,7 @@ def test_that_a_bubble_of_a_bundle_that_is_seen_at_two_times_is_made_once():
 
 
 def test_that_an_unknown_name_and_a_bundle_without_members_are_refused():
-    parameters, designs = gels(1)
+    parameters, designs = draw_bubbles(1, 3)
     with pytest.raises(
         InputDataError, match=r"No sensitivity to 'beta'; known are G, .*rest_radius"
     ):

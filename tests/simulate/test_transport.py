@@ -11,7 +11,7 @@ from numpy.polynomial import legendre
 
 from imr_torch.errors import InputDataError, ShapeError
 from imr_torch.float64 import linspace, rand, tensor
-from imr_torch.material import PARAMETERS, reference_case
+from imr_torch.material import PARAMETERS
 from imr_torch.simulate import (
     ACCURACIES,
     Accuracy,
@@ -27,25 +27,16 @@ from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.engines import ENGINES
 from imr_torch.simulate.rhs import HEAD, Equations
 from imr_torch.simulate.rosenbrock import rosenbrock_step, scaled_error, step_factor
-from tests.simulate.bubble import CLOSURES
+from tests.simulate.bubble import CLOSURES, draw_bubbles
 
 TIMES = linspace(0.0, 2.5, 51)
 GEL = PARAMETERS.pack({"G": 2770.0, "mu": 0.186, "alpha": 0.48})
 DESIGN = tensor([550.0, 0.22])
 
 
-def draws(count):
-    """Gels of the paper's prior and designs all over its box."""
-    random = torch.Generator().manual_seed(11)
-    parameters = reference_case("stiff-pa").prior.sample(count, seed=11).parameters
-    low = torch.tensor([100.0, 0.14])
-    high = torch.tensor([1000.0, 0.30])
-    return parameters, low + (high - low) * rand(count, 2, generator=random)
-
-
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_member_does_not_depend_on_its_neighbours_or_on_the_blocks(engine, monkeypatch):
-    parameters, designs = draws(5)
+    parameters, designs = draw_bubbles(5, 11)
     simulator = TransportSimulator(engine=engine)
     times = TIMES[:16]
     alone = torch.stack([simulator(parameters[i], designs[i], times).radius for i in (0, 4)])
@@ -56,7 +47,7 @@ def test_a_member_does_not_depend_on_its_neighbours_or_on_the_blocks(engine, mon
 
 
 def test_default_accuracy_meets_its_target_on_prior_draws():
-    parameters, designs = draws(12)
+    parameters, designs = draw_bubbles(12, 11)
     radius = [
         TransportSimulator(accuracy=a)(parameters, designs, TIMES).radius
         for a in (Accuracy(), Accuracy(1e-5, Resolution(24, 24)))
@@ -137,16 +128,11 @@ def test_perfect_and_absent_conduction_are_the_polytropic_limits(factor, exponen
     assert float((transport.radius - polytropic.radius).abs().max()) < 5e-3
 
 
-@pytest.fixture(scope="module")
-def by_closure():
-    return {
-        name: TransportSimulator(c, ACCURACIES["fast"])(GEL, DESIGN, TIMES)
-        for name, c in CLOSURES.items()
-    }
-
-
-def test_closures_differ(by_closure):
-    radius = [solution.radius for solution in by_closure.values()]
+def test_closures_differ():
+    radius = [
+        TransportSimulator(conditions, ACCURACIES["fast"])(GEL, DESIGN, TIMES).radius
+        for conditions in CLOSURES.values()
+    ]
     for i in range(len(radius)):
         for other in radius[:i]:
             assert float((radius[i] - other).abs().max()) > 1e-3
