@@ -307,7 +307,12 @@ def write_scores(lines: Sequence[Line]) -> str:
     head = ("", "sd", "p < .05", "named", "S unseen", "CPU s", *SCORES)
     pages = []
     for path in PATHS:
-        own = [x | {"S": score_unseen(x)} for x in lines if x["path"] == path and "verdict" in x]
+        own = [
+            x
+            | {"S": score_unseen(x), "cpu": x["seconds_diagnosis"] + x.get("seconds_unknown", 0.0)}
+            for x in lines
+            if x["path"] == path and "verdict" in x
+        ]
         groups = {effect: [x for x in own if x["effect"] == effect] for effect in STARTS}
         for name, kinds in (("all effects", EFFECTS), ("pressures", PRESSURES)):
             groups[name] = [x for x in own if x["effect"] in kinds]
@@ -315,17 +320,18 @@ def write_scores(lines: Sequence[Line]) -> str:
         for name, some in groups.items():
             seen = f"{sum(x['p_gap'] < 0.05 for x in some)} of {len(some)}"
             named = count_words("+".join(x["cause"]) for x in some if is_named(x))
-            middle = (median_of(some, x) for x in ("signal", "S", "seconds"))
-            sd, share, cost = middle
+            sd, share, cost = (median_of(some, x) for x in ("signal", "S", "cpu"))
             rows.append((name, sd, seen, named, share, cost, *score_group(some)))
         pages.append(f"{path}\n\n{write_table(head, rows)}")
     return "\n\n".join(pages)
 
 
 def score_unseen(line: Line) -> float | None:
-    """S of the most probable kind on unseen designs."""
-    errors = line.get("unseen")
-    return None if errors is None else 1.0 - (errors[line["kind"]] or math.inf) / errors["base"]
+    """S of the most probable kind on unseen designs; minus infinity where its bubble failed."""
+    if "unseen" not in line:
+        return None
+    left = line["unseen"][line["kind"]]
+    return 1.0 - (math.inf if left is None else left) / line["unseen"]["base"]
 
 
 def main() -> None:
