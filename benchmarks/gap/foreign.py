@@ -2,7 +2,7 @@
 or each shot has a pressure of its own.
 
   python -m benchmarks.gap.foreign run OUT.jsonl [--sets 4] [--seed 0] [--paths repeats,single]
-      [--only darcy,none] [--physics polytropic]
+      [--only darcy,none] [--physics resting]
   python -m benchmarks.gap.foreign table OUT.jsonl ...
 
 Truths are those of :mod:`benchmarks.gap.closures`, simulated by finer steps (``transport``: 24 + 28
@@ -60,7 +60,15 @@ from imr_torch.material import LIBRARY
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, TraceSet, prepare
 from imr_torch.observe.nuisance import FLOOR
 from imr_torch.random import child, generator
-from imr_torch.simulate import STEPPINGS, PolytropicSimulator, Simulator, fewer_steps, process_pool
+from imr_torch.simulate import (
+    STEPPINGS,
+    Conditions,
+    PolytropicGas,
+    PolytropicSimulator,
+    Simulator,
+    fewer_steps,
+    process_pool,
+)
 from imr_torch.unknown import Unknown, infer_unknown
 from imr_torch.unknown.next_shot import plan_shot, predict_curve
 
@@ -88,11 +96,18 @@ STARTS = {
     "none": 0.0,
 }
 """Effects and placebos, and the strength at which a search begins."""
+RESTING = Conditions(gas=PolytropicGas(exponent=1.4, reference="rest"))
+"""Gas that comes to rest at R_inf, which is then what the end of a record shows."""
+
+
+def _polytropic(conditions: Conditions) -> tuple[Simulator, Simulator]:
+    default = PolytropicSimulator(conditions, threads=1)
+    return default, replace(default, stepping=STEPPINGS["reference"])
+
+
 SIMULATORS: dict[str, tuple[Simulator, Simulator]] = {
-    "polytropic": (
-        PolytropicSimulator(threads=1),
-        PolytropicSimulator(stepping=STEPPINGS["reference"], threads=1),
-    ),
+    "polytropic": _polytropic(Conditions(gas=PolytropicGas())),
+    "resting": _polytropic(RESTING),
     "transport": (FITS, TRUTH),
 }
 """Simulators of the diagnosis and of the truth."""
@@ -307,7 +322,12 @@ def write_scores(lines: Sequence[Line]) -> str:
     head = ("", "sd", "p < .05", "named", "S unseen", "CPU s", *SCORES)
     pages = []
     for path in PATHS:
-        own = [x | {"S": score_unseen(x)} for x in lines if x["path"] == path and "verdict" in x]
+        own = [
+            x
+            | {"S": score_unseen(x), "cpu": x["seconds_diagnosis"] + x.get("seconds_unknown", 0.0)}
+            for x in lines
+            if x["path"] == path and "verdict" in x
+        ]
         groups = {effect: [x for x in own if x["effect"] == effect] for effect in STARTS}
         for name, kinds in (("all effects", EFFECTS), ("pressures", PRESSURES)):
             groups[name] = [x for x in own if x["effect"] in kinds]
@@ -315,17 +335,18 @@ def write_scores(lines: Sequence[Line]) -> str:
         for name, some in groups.items():
             seen = f"{sum(x['p_gap'] < 0.05 for x in some)} of {len(some)}"
             named = count_words("+".join(x["cause"]) for x in some if is_named(x))
-            middle = (median_of(some, x) for x in ("signal", "S", "seconds"))
-            sd, share, cost = middle
+            sd, share, cost = (median_of(some, x) for x in ("signal", "S", "cpu"))
             rows.append((name, sd, seen, named, share, cost, *score_group(some)))
         pages.append(f"{path}\n\n{write_table(head, rows)}")
     return "\n\n".join(pages)
 
 
 def score_unseen(line: Line) -> float | None:
-    """S of the most probable kind on unseen designs."""
-    errors = line.get("unseen")
-    return None if errors is None else 1.0 - (errors[line["kind"]] or math.inf) / errors["base"]
+    """S of the most probable kind on unseen designs; minus infinity where its bubble failed."""
+    if "unseen" not in line:
+        return None
+    left = line["unseen"][line["kind"]]
+    return 1.0 - (math.inf if left is None else left) / line["unseen"]["base"]
 
 
 def main() -> None:
@@ -335,7 +356,7 @@ def main() -> None:
     add_out(runs)
     runs.add_argument("--sets", type=int, default=4, help="of each effect and path")
     runs.add_argument("--seed", type=int, default=0, help="of the first set; others count up")
-    runs.add_argument("--physics", choices=SIMULATORS, default="polytropic")
+    runs.add_argument("--physics", choices=SIMULATORS, default="resting")
     runs.add_argument("--paths", default=",".join(PATHS))
     runs.add_argument("--only", default=",".join(STARTS))
     args = parser.parse_args()

@@ -17,6 +17,7 @@ the inverse square of the stated error (correlation) or by its own square (share
 """
 
 import math
+import statistics
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
@@ -192,8 +193,8 @@ def kinds_of(effect: str) -> set[str]:
 
 def median_of(lines: Sequence[Line], name: str) -> str:
     """Median of a figure, and how many have it."""
-    known = sorted(x[name] for x in lines if x.get(name) is not None and math.isfinite(x[name]))
-    return f"{known[len(known) // 2]:.2f} ({len(known)})" if known else "-"
+    known = [x[name] for x in lines if x.get(name) is not None]
+    return f"{statistics.median(known):.2f} ({len(known)})" if known else "-"
 
 
 def count_words(words: Iterable[str]) -> str:

@@ -39,9 +39,9 @@ def run_command(args: Namespace) -> None:
     try:
         _characterize(args)
     except InputDataError as error:
-        bad = re.search(r"experiment '([^',]+)'", str(error))
-        named = bad and bad[1] not in (args.exclude or ())
-        more = f" One of several curves can be left out: --exclude {bad[1]}" if named else ""
+        named = re.findall(r"experiment '([^',]+)'", str(error))
+        bad = [name for name in named if name not in (args.exclude or ())]
+        more = f" One of several curves can be left out: --exclude {bad[0]}" if bad else ""
         raise InputDataError(f"{error}{more}") from None
 
 
