@@ -55,7 +55,9 @@ class Posterior(ForwardModel):
 
     @cached_property
     def least_cost(self) -> float:
-        """Nats of a prediction that meets the mean of every frame, less than which no gel has."""
+        """Nats of a prediction that meets the mean of every frame: no gel has less, but for what a
+        law of noise that follows the prediction gives back.
+        """
         return -float(self.batch.log_likelihood(self.batch.mean).sum())
 
     def of_experiments(self, rows: Int[Tensor, "rows"]) -> "Posterior":
