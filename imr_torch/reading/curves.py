@@ -135,7 +135,8 @@ def curves_of(
         trace, dropped = _make_trace(_leave_out_peak(converted, layout), sort=sort)
         left_out += dropped
         traces += [] if trace is None else [trace]
-    if not traces and not all(curve.experiment_id in exclude for curve in raw):
+    asked = [curve for curve in raw if curve.experiment_id not in exclude]
+    if not traces and (asked or not raw):
         why = "; ".join(f"row(s) {x.rows or '-'}: {x.reason}" for x in left_out[:4])
         raise InputDataError(
             f"{content.path}: no usable curve ({why or 'it holds no curve'}). Give a record with "
