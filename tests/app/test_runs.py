@@ -22,7 +22,7 @@ from imr_torch.app.commands import (
     list_defaults,
     read_arguments,
 )
-from imr_torch.app.runs import Run, Runs
+from imr_torch.app.runs import Result, Run, Runs
 from imr_torch.app.workspace import Workspace
 from imr_torch.cli import build_parser
 
@@ -51,6 +51,24 @@ def begun(all_runs: Runs, arguments: Callable[[str], list[str]], kind: str) -> R
 def finished(run: Run) -> None:
     run.join(120.0)
     assert not run.is_alive()
+
+
+def result_of(all_runs: Runs, name: str) -> Result:
+    return next(result for result in all_runs.list_results() if result.name == name)
+
+
+def wait_while(condition: Callable[[], object]) -> None:
+    until = time.monotonic() + 120.0
+    while condition() and time.monotonic() < until:
+        time.sleep(0.1)
+
+
+def recorded(tmp_path: Path, name: str, record: str) -> Path:
+    """The folder of a run of an earlier session."""
+    folder = tmp_path / "results" / name
+    folder.mkdir(parents=True)
+    (folder / "run.json").write_text(record)
+    return folder
 
 
 def test_that_a_refused_command_keeps_its_message(tmp_path):
@@ -84,17 +102,13 @@ def seen(tmp_path_factory):
     all_runs.add_run(simulate, "simulate", "results/007_simulate")
     assert all_runs.current is first
     waiting = [result.name for result in all_runs.waiting]
-    until = time.monotonic() + 120.0
-    while first.part is None and first.is_alive() and time.monotonic() < until:
-        time.sleep(0.1)
+    wait_while(lambda: first.part is None and first.is_alive())
     part = first.part
     before = [result.name for result in all_runs.list_results()]
     all_runs.take_back(second)
     first.stop()
     finished(first)
-    until = time.monotonic() + 120.0
-    while (all_runs.current or all_runs.waiting) and time.monotonic() < until:
-        time.sleep(0.1)
+    wait_while(lambda: all_runs.current or all_runs.waiting)
     ended = {result.name: result.outcome for result in all_runs.list_results()}
     return Seen(all_runs, part, waiting, before, ended, second.folder)
 
@@ -102,8 +116,7 @@ def seen(tmp_path_factory):
 def test_that_a_run_shows_progress_and_can_be_stopped(seen):
     assert seen.part is not None
     assert 0.0 < seen.part < 1.0
-    (result,) = [x for x in seen.runs.list_results() if x.name == "001_design"]
-    assert (result.status, result.outcome) == (130, "stopped")
+    assert result_of(seen.runs, "001_design").status == 130
 
 
 def test_that_runs_wait_for_those_before_them_and_can_be_taken_back(seen):
@@ -115,8 +128,8 @@ def test_that_runs_wait_for_those_before_them_and_can_be_taken_back(seen):
 
 
 def test_that_a_run_leaves_its_files_output_and_record(seen):
-    (result,) = [x for x in seen.runs.list_results() if x.name == "007_simulate"]
-    assert (result.status, result.outcome) == (0, "done")
+    result = result_of(seen.runs, "007_simulate")
+    assert result.status == 0
     assert "smallest sampled R*" in result.read_text_of("output.txt")
     assert result.command.startswith("imr-torch simulate --model nhkv")
     with zipfile.ZipFile(io.BytesIO(result.zip_files())) as file:
@@ -155,20 +168,25 @@ def test_that_a_run_that_the_system_ended_is_not_called_stopped(tmp_path):
 
 
 def test_that_a_run_that_ended_with_the_application_is_known_as_interrupted(tmp_path):
-    folder = tmp_path / "results" / "007_diagnose"
-    folder.mkdir(parents=True)
-    (folder / "run.json").write_text(
-        '{"arguments": ["diagnose"], "started": "2026-01-01", "status": null}'
-    )
+    record = '{"arguments": ["diagnose"], "started": "2026-01-01", "status": null}'
+    recorded(tmp_path, "007_diagnose", record)
     all_runs = runs(tmp_path)
     assert [result.outcome for result in all_runs.list_results()] == ["interrupted"]
     assert all_runs.next_folder("design") == "results/008_design"
 
 
+FILES = ["files/a.csv", "files/b.csv"]
+
+
+def arguments_of(command: str, values: dict) -> list[str]:
+    files = FILES if FORMS[command].reads_files else []
+    needed = {"compare": {"a": "a.json", "b": "b.json"}}.get(command, {})
+    return command_arguments(command, needed | values, "results/001", files=files)
+
+
 @pytest.mark.parametrize(
     ("command", "values"),
     [
-        ("characterize", {}),
         (
             "characterize",
             {
@@ -194,7 +212,6 @@ def test_that_a_run_that_ended_with_the_application_is_known_as_interrupted(tmp_
                 "most": 2,
             },
         ),
-        ("design", {}),
         (
             "design",
             {
@@ -208,62 +225,42 @@ def test_that_a_run_that_ended_with_the_application_is_known_as_interrupted(tmp_
                 "evaluations": 7,
             },
         ),
+        ("characterize", {"models": ["nhkv", "gent+cross"], "growth": 0.6, "over_time": True}),
+        ("diagnose", {"without": ["wall"], "most": 2, "experiments": ["x", "y"]}),
+        ("batch", {"each": True, "noise": "published"}),
+        ("compare", {"model": "nhkv"}),
+        ("design", {"until": "G:5%", "shots": 6, "models": ["nhkv"]}),
+        ("campaign", {"tell": FILES, "stop": "G:5%,mu:5%"}),
+        *((command, values) for command in FORMS for values in FORMS[command].presets.values()),
     ],
 )
-def test_that_a_form_makes_arguments_that_the_command_takes(command, values):
-    files = [] if command == "design" else ["files/a.csv", "files/b.csv"]
-    words = command_arguments(command, list_defaults(command) | values, "results/001", files=files)
-    read = vars(build_parser().parse_args(words))
-    assert (read["html"], read["out"]) == ("results/001/page.html", "results/001")
-    assert read.get("files", files) == files
+def test_that_a_command_takes_what_its_form_makes_and_it_is_read_back(command, values):
+    def joined(value: object) -> object:
+        return ",".join(value) if isinstance(value, list) else value
+
+    words = arguments_of(command, values)
+    taken = vars(build_parser().parse_args(words))
+    assert taken["out"] == "results/001"
+    assert command == "batch" or taken["html"] == "results/001/page.html"
+    read = read_arguments(words)
     for name, value in values.items():
-        assert read[name] == (",".join(value) if isinstance(value, list) else value)
-
-
-def arguments_of(command: str, values: dict) -> list[str]:
-    files = ["files/a.csv"] if FORMS[command].reads_files else []
-    needed = {"compare": {"a": "a.json", "b": "b.json"}}.get(command, {})
-    return command_arguments(command, needed | values, "results/001", files=files)
+        assert joined(taken[name]) == joined(value)
+        if name in OF_THE_FOLDER:
+            read[name] = value
+        assert read[name] == value
+    again = {name: value for name, value in read.items() if name not in ("a", "b")}
+    assert arguments_of(command, again) == words
 
 
 @pytest.mark.parametrize("command", FORMS)
 def test_that_options_left_out_are_those_that_say_what_the_command_does_anyhow(command):
     read = vars(build_parser().parse_args(arguments_of(command, {})))
     defaults = list_defaults(command)
+    assert not FORMS[command].reads_files or read["files"] == FILES
     for name in (
         OPTIONS[command].keys() - OF_THE_FOLDER - {*("models", "collapses", "continued", "a", "b")}
     ):
         assert (read[name] or "") == (defaults[name] or "")
-
-
-@pytest.mark.parametrize(
-    ("command", "preset"),
-    [(command, name) for command, form in FORMS.items() for name in form.presets],
-)
-def test_that_a_preset_can_be_run(command, preset):
-    values = FORMS[command].presets[preset]
-    read = vars(build_parser().parse_args(arguments_of(command, values)))
-    for name, value in values.items():
-        assert read[name] == (",".join(value) if isinstance(value, list) else value)
-
-
-@pytest.mark.parametrize(
-    ("command", "values"),
-    [
-        ("characterize", {"models": ["nhkv", "gent+cross"], "growth": 0.6, "over_time": True}),
-        ("diagnose", {"without": ["wall"], "most": 2, "experiments": ["x", "y"]}),
-        ("batch", {"each": True, "noise": "published"}),
-        ("compare", {"model": "nhkv"}),
-        ("design", {"until": "G:5%", "shots": 6, "models": ["nhkv"]}),
-        ("campaign", {"tell": ["files/a.csv", "files/b.csv"], "stop": "G:5%,mu:5%"}),
-    ],
-)
-def test_that_the_options_of_a_run_are_read_back_as_they_were(command, values):
-    read = read_arguments(arguments_of(command, values))
-    for name, value in values.items():
-        assert read[name] == value
-    again = {name: value for name, value in read.items() if name not in ("a", "b")}
-    assert arguments_of(command, again) == arguments_of(command, values)
 
 
 @pytest.mark.parametrize("command", FORMS)
@@ -283,10 +280,9 @@ def test_that_a_campaign_goes_on_in_its_folder():
 
 
 def test_that_the_shots_of_a_batch_are_rows_with_numbers_that_can_be_read(tmp_path):
-    folder = tmp_path / "results" / "001_batch"
-    folder.mkdir(parents=True)
+    record = '{"arguments": ["batch"], "started": "", "status": 0}'
+    folder = recorded(tmp_path, "001_batch", record)
     (folder / "batch.json").write_text('{"shots": [{"shot": "a", "curves": 1, "G": 8123.456789}]}')
-    (folder / "run.json").write_text('{"arguments": ["batch"], "started": "", "status": 0}')
     (result,) = runs(tmp_path).list_results()
     assert result.read_shots() == [{"shot": "a", "curves": 1, "G": 8123.0}]
 

@@ -41,6 +41,23 @@ def designs(*pairs: tuple[float, float]) -> torch.Tensor:
     return tensor(pairs)
 
 
+def gels_of(**values: list[float]) -> torch.Tensor:
+    """One gel for each of the values, as ``GEL`` in what is not named."""
+    changed = {name: tensor(value) for name, value in values.items()}
+    return PARAMETERS.pack(GEL | changed)
+
+
+def predict_each(gels: torch.Tensor, where: torch.Tensor, measured: torch.Tensor, shifts=None):
+    """The times of shots, each predicted without the others."""
+    alone = [
+        predict_collapse(
+            SIMULATOR, gels, where[[i]], measured[[i]], None if shifts is None else shifts[:, [i]]
+        )
+        for i in range(len(measured))
+    ]
+    return torch.cat(alone, 1)
+
+
 def shots(
     count: int,
     *,
@@ -126,11 +143,8 @@ def thirty() -> tuple[torch.Tensor, torch.Tensor]:
 def test_that_a_gel_which_collapses_in_some_shots_alone_is_simulated_and_no_other(
     thirty, monkeypatch
 ):
-    gels = torch.stack([PARAMETERS.pack(GEL | {"mu": mu}) for mu in (0.1, 0.7)])
-    alone = [
-        predict_collapse(SIMULATOR, gels, thirty[0][i : i + 1], thirty[1][i : i + 1])
-        for i in range(30)
-    ]
+    gels = gels_of(mu=[0.1, 0.7])
+    alone = predict_each(gels, *thirty)
     made = []
 
     def count_bubbles(*args, **options):
@@ -140,7 +154,7 @@ def test_that_a_gel_which_collapses_in_some_shots_alone_is_simulated_and_no_othe
 
     monkeypatch.setattr("imr_torch.observe.prediction._simulate_bubbles", count_bubbles)
     found = predict_collapse(SIMULATOR, gels, *thirty)
-    assert_close(found, torch.cat(alone, 1), rtol=0.0, atol=5e-5, equal_nan=True)
+    assert_close(found, alone, rtol=0.0, atol=5e-5, equal_nan=True)
     assert 0 < int(found[1].isnan().sum()) < 30
     nodes = 12
     assert made == [2 * nodes, nodes, 2 * nodes, 30, 30, 30]
@@ -150,20 +164,14 @@ def test_that_a_gel_which_collapses_in_some_shots_alone_is_simulated_and_no_othe
 def test_that_times_of_many_shots_are_those_of_each_by_itself(bundled, thirty):
     """Interpolated between designs they are as right as simulated ones, nuisances and slopes too."""
     where, measured = thirty
-    gels = [GEL, GEL, {"G": 8040.0, "mu": 0.1}, {"G": 2000.0, "mu": 0.05}]
-    gels = torch.stack([PARAMETERS.pack(gel) for gel in gels])
+    gels = gels_of(G=[8000.0, 8000.0, 8040.0, 2000.0], mu=[0.1, 0.1, 0.1, 0.05])
     shifts = zeros(4, 30, 3)
     shifts[1] = torch.tensor([0.003, 0.0, 0.01])
     together = predict_collapse(SIMULATOR, gels, where, measured, shifts, bundled=bundled)
-    alone = [
-        predict_collapse(
-            SIMULATOR, gels, where[i : i + 1], measured[i : i + 1], shifts[:, i : i + 1]
-        )
-        for i in range(30)
-    ]
-    assert (together - torch.cat(alone, 1)).abs().max() < 5e-5
-    moved = together[1] - together[0], alone[7][1] - alone[7][0]
-    assert float(moved[0][7]) == pytest.approx(float(moved[1]), rel=0.01)
+    alone = predict_each(gels, where, measured, shifts)
+    assert (together - alone).abs().max() < 5e-5
+    moved, moved_alone = ((times[1] - times[0])[7] for times in (together, alone))
+    assert float(moved) == pytest.approx(float(moved_alone), rel=0.01)
 
 
 def test_that_the_time_is_smooth_in_the_gel():
@@ -174,9 +182,7 @@ def test_that_the_time_is_smooth_in_the_gel():
     measured = tensor([0.91])
     slopes = []
     for step in (1e-6, 1e-3):
-        gels = torch.stack(
-            [PARAMETERS.pack(GEL | {"G": 8000.0 * x}) for x in (1.0 - step, 1.0 + step)]
-        )
+        gels = gels_of(G=[8000.0 * (1.0 - step), 8000.0 * (1.0 + step)])
         low, high = predict_collapse(SIMULATOR, gels, where, measured)[:, 0].tolist()
         slopes.append((high - low) / (2.0 * step))
     assert slopes[0] == pytest.approx(slopes[1], rel=2e-4)

@@ -23,8 +23,13 @@ PERIOD = 2.5e-5
 OMEGA = 2 * math.pi / PERIOD
 
 
-def trace(time: np.ndarray, radius: np.ndarray, given: Given = Given()) -> RadiusTrace:  # noqa: B008
-    return RadiusTrace("x", torch.tensor(time), torch.tensor(radius), "memory", given)
+def marks_of(time: np.ndarray, radius: np.ndarray, **given: float | bool) -> Landmarks:
+    trace = RadiusTrace("x", torch.tensor(time), torch.tensor(radius), "memory", Given(**given))
+    return find_landmarks(trace)
+
+
+def rest_of(found: Landmarks) -> tuple[float | None, float | None, str]:
+    return found.rest_radius_m, found.rest_radius_sd_m, found.rest_method
 
 
 def ringing(time: np.ndarray, tau: float = TAU) -> np.ndarray:
@@ -41,15 +46,15 @@ def frames(n: int = 200, step: float = 5e-7, start: float = -6e-6) -> np.ndarray
     return start + step * np.arange(n)
 
 
-@pytest.mark.parametrize(("n", "noise"), [(5, 0.005), (9, 0.005), (21, 0.005), (60, 0.005)])
-def test_that_the_peak_of_a_noisy_parabola_is_covered_by_its_sd(n, noise):
+@pytest.mark.parametrize("n", [5, 9, 21, 60])
+def test_that_the_peak_of_a_noisy_parabola_is_covered_by_its_sd(n):
     rng = np.random.default_rng(n)
     z = []
     late = []
     for _ in range(400):
         time = np.linspace(-1.2e-5, 1.2e-5, n) + rng.uniform(-0.4, 0.4) * 2.4e-5 / n
-        radius = TOP * (1 - 0.3 * (time / 1.2e-5) ** 2 + noise * rng.standard_normal(n))
-        found = find_landmarks(trace(time, radius))
+        radius = TOP * (1 - 0.3 * (time / 1.2e-5) ** 2 + 0.005 * rng.standard_normal(n))
+        found = marks_of(time, radius)
         assert found.max_method == "peak fit"
         z.append((found.max_radius_m - TOP) / found.max_radius_sd_m)
         late.append(found.time_of_max_s / found.time_of_max_sd_s)
@@ -66,9 +71,7 @@ def test_that_collapses_and_rebounds_lie_between_the_frames(noise):
     errors = []
     for _ in range(50):
         time = frames(step=step) + rng.uniform(0, step)
-        found = find_landmarks(
-            trace(time, ringing(time) + noise * TOP * rng.standard_normal(len(time)))
-        )
+        found = marks_of(time, ringing(time) + noise * TOP * rng.standard_normal(len(time)))
         assert found.collapse_times_s[:2] == pytest.approx([PERIOD / 2, 3 * PERIOD / 2], abs=step)
         assert found.rebound_times_s[0] == pytest.approx(PERIOD, abs=1.5 * step)
         assert found.rebound_radii_m[0] == pytest.approx(
@@ -88,7 +91,7 @@ def test_that_a_sharp_collapse_is_found_within_a_fifth_of_a_frame():
         radius = TOP * (0.05 + 0.95 * (1 - phase**2) ** 0.4)
         radius = radius[(time > -5e-6) & (time < 3.5e-5)]
         time = time[(time > -5e-6) & (time < 3.5e-5)]
-        errors.append(find_landmarks(trace(time, radius)).collapse_times_s[0] - period)
+        errors.append(marks_of(time, radius).collapse_times_s[0] - period)
     assert np.abs(errors).max() < 0.2 * step
 
 
@@ -98,16 +101,14 @@ def test_that_noise_on_a_settled_tail_is_no_collapse():
     counts = []
     for _ in range(50):
         radius = ringing(time, tau=8e-6) + 0.005 * TOP * rng.standard_normal(len(time))
-        counts.append(len(find_landmarks(trace(time, radius)).collapse_times_s))
+        counts.append(len(marks_of(time, radius).collapse_times_s))
     assert np.mean(np.array(counts) <= 2) > 0.95
 
 
 def test_that_a_settled_tail_gives_the_rest_radius_with_its_scatter():
     rng = np.random.default_rng(4)
     time = frames(400)
-    found = find_landmarks(
-        trace(time, ringing(time, tau=1.5e-5) + 5e-7 * rng.standard_normal(len(time)))
-    )
+    found = marks_of(time, ringing(time, tau=1.5e-5) + 5e-7 * rng.standard_normal(len(time)))
     assert found.rest_method == "settled tail"
     assert found.rest_radius_m == pytest.approx(REST, rel=0.005)
     assert 4e-7 < (found.rest_radius_sd_m or 0) < 7e-7
@@ -130,17 +131,14 @@ def bubbles_that_still_ring():
     times = linspace(0.0, 7.0, 1401)
     solved = TransportSimulator()(parameters, torch.tensor(np.stack([we, rest], -1)), times)
     found: dict[str, list[tuple[float, float]]] = {}
-    for radius, true in zip(
-        solved.radius[solved.status == Status.DONE].numpy(),
-        rest[(solved.status == Status.DONE).numpy()],
-        strict=True,
-    ):
+    done = solved.status == Status.DONE
+    for radius, true in zip(solved.radius[done].numpy(), rest[done.numpy()], strict=True):
         time = np.linspace(-0.3, rng.uniform(1.6, 7.0), int(rng.integers(40, 256)))
         frames = np.interp(np.abs(time), times.numpy(), radius) + 0.005 * rng.standard_normal(
             len(time)
         )
-        marks = find_landmarks(trace(1e-5 * time, TOP * np.clip(frames, 0.02, None)))
-        if marks.rest_radius_m is not None and marks.rest_radius_sd_m is not None:
+        marks = marks_of(1e-5 * time, TOP * np.clip(frames, 0.02, None))
+        if marks.rest_radius_m and marks.rest_radius_sd_m:
             error = math.log(marks.rest_radius_m / (TOP * true))
             found.setdefault(marks.rest_method, []).append(
                 (error, marks.rest_radius_sd_m / marks.rest_radius_m)
@@ -159,39 +157,21 @@ def test_that_the_rest_radius_of_a_bubble_that_still_rings_is_not_its_mean_radiu
     assert stated.min() >= (0.1 if method == "last cycles" else 0.3)
 
 
-def test_that_a_single_rebound_gives_a_wide_rest_radius():
-    time = frames(50)
-    found = find_landmarks(trace(time, ringing(time)))
-    assert (len(found.collapse_times_s), len(found.rebound_times_s)) == (1, 0)
-    time = frames(75)
-    found = find_landmarks(trace(time, 0.7 * TOP + 0.3 * ringing(time)))
-    assert found.rest_method == "first rebound"
-    assert found.rest_radius_sd_m >= 0.3 * found.rest_radius_m  # type: ignore[operator]
-
-
 def test_that_a_record_without_rebound_has_no_rest_radius_unless_one_is_given():
-    time = frames(35)
-    found = find_landmarks(trace(time, ringing(time)))
-    assert (found.rest_radius_m, found.rest_radius_sd_m, found.rest_method) == (
-        None,
-        None,
-        "not in record",
-    )
-    given = Given(rest_radius_m=1e-4, rest_radius_sd_m=2e-5)
-    found = find_landmarks(trace(time, ringing(time), given))
-    assert (found.rest_radius_m, found.rest_radius_sd_m, found.rest_method) == (
-        1e-4,
-        2e-5,
-        "as given",
-    )
+    time = frames(50)
+    found = marks_of(time, ringing(time))
+    assert (len(found.collapse_times_s), len(found.rebound_times_s)) == (1, 0)
+    assert rest_of(found) == (None, None, "not in record")
+    found = marks_of(time, ringing(time), rest_radius_m=1e-4, rest_radius_sd_m=2e-5)
+    assert rest_of(found) == (1e-4, 2e-5, "as given")
 
 
 def test_that_a_record_without_growth_uses_the_given_maximum_else_the_first_frame_widely():
     time = frames(start=3e-7)
     radius = ringing(time)
-    found = find_landmarks(trace(time, radius, Given(max_radius_m=TOP, time_of_max_s=0.0)))
+    found = marks_of(time, radius, max_radius_m=TOP, time_of_max_s=0.0)
     assert (found.max_radius_m, found.time_of_max_s, found.max_method) == (TOP, 0.0, "as given")
-    found = find_landmarks(trace(time, radius))
+    found = marks_of(time, radius)
     assert (found.max_radius_m, found.time_of_max_s, found.max_method) == (
         radius[0],
         time[0],
@@ -233,9 +213,7 @@ def test_that_a_record_that_begins_at_its_maximum_gives_it_by_the_frames_after_i
 
 def test_that_the_given_maximum_is_not_used_where_frames_bracket_the_peak():
     time = frames()
-    found = find_landmarks(
-        trace(time, ringing(time), Given(max_radius_m=1.1 * TOP, time_of_max_s=1e-6))
-    )
+    found = marks_of(time, ringing(time), max_radius_m=1.1 * TOP, time_of_max_s=1e-6)
     assert found.max_method == "peak fit"
     assert found.max_radius_m == pytest.approx(TOP, rel=2e-3)
 
@@ -269,19 +247,15 @@ WELL_SAMPLED = [
 COARSE = ["gel03_histotripsy", "gel25_histotripsy", "gel25_laser"]
 
 
-@pytest.mark.parametrize("name", WELL_SAMPLED)
+@pytest.mark.parametrize("name", WELL_SAMPLED + COARSE)
 def test_that_the_maximum_radius_agrees_with_the_published_one(shared, name):
-    for found, said in both(shared, name):
-        assert found.max_radius_m == pytest.approx(said["Rmax_m"], rel=0.01)
-
-
-@pytest.mark.parametrize("name", COARSE)
-def test_that_coarse_records_cover_the_published_maximum(shared, name):
     # With 2.5 us between 5 to 15 frames the published value is often the largest frame, a lower
     # bound.
+    coarse = name in COARSE
     for found, said in both(shared, name):
-        assert abs(found.max_radius_m - said["Rmax_m"]) < 2.5 * found.max_radius_sd_m
-        assert found.max_radius_m == pytest.approx(said["Rmax_m"], rel=0.04)
+        assert found.max_radius_m == pytest.approx(said["Rmax_m"], rel=0.04 if coarse else 0.01)
+        if coarse:
+            assert abs(found.max_radius_m - said["Rmax_m"]) < 2.5 * found.max_radius_sd_m
 
 
 @pytest.mark.parametrize("name", WELL_SAMPLED + COARSE)
@@ -328,8 +302,8 @@ def test_that_noise_in_the_tail_makes_no_cycles_of_which_the_rest_radius_is_take
         time = frames(80)
         radius = ringing(time, tau=8e-6)
         radius = radius + TOP * (0.01 + 0.03 * time / time[-1]) * rng.standard_normal(len(time))
-        found = find_landmarks(trace(time, np.clip(radius, 1e-7, None)))
-        if found.rest_radius_m is not None and found.rest_radius_sd_m is not None:
+        found = marks_of(time, np.clip(radius, 1e-7, None))
+        if found.rest_radius_m and found.rest_radius_sd_m:
             errors.append((found.rest_radius_m - REST) / found.rest_radius_sd_m)
     assert len(errors) >= 95
     assert np.mean(np.abs(errors) > 2.0) <= 0.05
@@ -340,6 +314,6 @@ def test_that_noise_in_the_tail_makes_no_cycles_of_which_the_rest_radius_is_take
 )
 def test_that_a_stated_rest_radius_counts_before_a_bubble_that_rings(given, method):
     time = frames(150)
-    found = find_landmarks(trace(time, ringing(time), Given(rest_radius_m=1.3 * REST, **given)))
+    found = marks_of(time, ringing(time), rest_radius_m=1.3 * REST, **given)
     assert found.rest_method == method
     assert (found.rest_radius_m == 1.3 * REST) == (method == "as given")

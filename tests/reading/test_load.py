@@ -31,6 +31,11 @@ def table(name: str = "a", n: int = 8, start: float = 0.0) -> str:
     return "".join(f"{name},{start + i * 1e-6:.9g},{2e-4 - i * 1e-5:.9g}\n" for i in range(n))
 
 
+def written_curves(path: Path, *names: str) -> Path:
+    """A table of curves of eight frames."""
+    return written(path, HEADER + "".join(map(table, names)))
+
+
 def written(path: Path, text: str) -> Path:
     path.write_text(text)
     return path
@@ -60,7 +65,7 @@ def test_that_the_separated_table_equals_its_published_si_version(shared):
 
 
 def test_that_the_json_beside_a_table_gives_the_laboratorys_values(tmp_path):
-    path = written(tmp_path / "set.csv", HEADER + table("a") + table("b"))
+    path = written_curves(tmp_path / "set.csv", "a", "b")
     entry = {
         "experiment_id": "b",
         "Rmax_m": 2.1e-4,
@@ -89,22 +94,22 @@ def test_that_lost_frames_are_left_out_with_their_rows_and_reasons(tmp_path):
 
 def test_that_single_impossible_radii_are_lost_frames_and_many_are_refused(tmp_path):
     """As noise makes them at a collapse, where the true radius is next to nothing."""
-    times = (1e-6 * np.arange(100)).tolist()
-    radii = (1.5e-4 + 5e-5 * np.cos(0.1 * np.arange(100))).tolist()
-    rows = [
-        ["id", "time_s", "radius_m"],
-        *[["a", f"{t:.9g}", f"{r:.9g}"] for t, r in zip(times, radii, strict=True)],
-    ]
-    rows[41][2], rows[60][2] = "-4e-6", "3e-8"
-    traces = load_traces(written(tmp_path / "gel.csv", "\n".join(",".join(row) for row in rows)))
+    radii = 1.5e-4 + 5e-5 * np.cos(0.1 * np.arange(100))
+
+    def load_radii() -> TraceSet:
+        rows = [f"a,{i * 1e-6:.9g},{radius:.9g}\n" for i, radius in enumerate(radii)]
+        return load_traces(written(tmp_path / "gel.csv", HEADER + "".join(rows)))
+
+    radii[[40, 59]] = -4e-6, 3e-8
+    traces = load_radii()
     (trace,) = traces
     assert len(trace) == 98
     (lost,) = traces.left_out
     assert lost.rows == "42, 61"
     assert "negative or smaller than a camera sees" in lost.reason
-    rows[70][2] = "-4e-6"
+    radii[69] = -4e-6
     with pytest.raises(InputDataError, match=r"row 42: radius is -4e-06 m, which is negative"):
-        load_traces(written(tmp_path / "bad.csv", "\n".join(",".join(row) for row in rows)))
+        load_radii()
 
 
 def test_that_a_short_curve_is_left_out_and_the_others_stay(tmp_path):
@@ -126,7 +131,7 @@ def test_that_a_short_curve_is_left_out_and_the_others_stay(tmp_path):
 
 
 def test_that_equal_ids_in_two_files_are_told_apart_by_the_files(tmp_path):
-    one = written(tmp_path / "one.csv", HEADER + table("a") + table("b"))
+    one = written_curves(tmp_path / "one.csv", "a", "b")
     two = written(tmp_path / "two.csv", HEADER + table("a") + table("short", 2))
     traces = load_traces(one, two)
     assert traces.ids == ("one:a", "b", "two:a")
@@ -138,18 +143,18 @@ def test_that_equal_file_names_in_two_folders_are_told_apart_by_the_folders(tmp_
     paths = []
     for folder in ("day1", "day2"):
         (tmp_path / folder).mkdir()
-        paths.append(written(tmp_path / folder / "run.csv", HEADER + table("a")))
+        paths.append(written_curves(tmp_path / folder / "run.csv", "a"))
     assert load_traces(*paths).ids == ("day1/run:a", "day2/run:a")
 
 
 def test_that_a_file_loaded_twice_is_refused(tmp_path):
-    path = written(tmp_path / "one.csv", HEADER + table("a"))
+    path = written_curves(tmp_path / "one.csv", "a")
     with pytest.raises(InputDataError, match=r"occurs 2 times .*load a file once"):
         load_traces(path, path)
 
 
 def test_that_a_trace_set_is_indexed_selected_and_added(tmp_path):
-    traces = load_traces(written(tmp_path / "x.csv", HEADER + table("a") + table("b") + table("c")))
+    traces = load_traces(written_curves(tmp_path / "x.csv", "a", "b", "c"))
     assert traces.select(["c", "a"]).ids == ("c", "a")
     assert traces["b"] is traces[1]
     assert len(traces + TraceSet(())) == 3
@@ -159,7 +164,7 @@ def test_that_a_trace_set_is_indexed_selected_and_added(tmp_path):
 
 
 def test_that_content_and_not_the_suffix_decides(tmp_path):
-    assert load_traces(written(tmp_path / "x.mat", HEADER + table("a"))).ids == ("a",)
+    assert load_traces(written_curves(tmp_path / "x.mat", "a")).ids == ("a",)
 
 
 def test_that_frame_numbers_become_seconds(tmp_path):

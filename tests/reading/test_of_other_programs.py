@@ -3,7 +3,7 @@
 The layouts are those of the programs; every value is made here.
 """
 
-import json
+from pathlib import Path
 
 import matio
 import numpy as np
@@ -22,6 +22,8 @@ from tests.reading.test_matlab import as_cells, load_saved
 COUNT = 40
 TIMES = 1e-6 * np.arange(COUNT)  # s
 RADII = 1e-6 * (120.0 + 80.0 * np.cos(0.2 * np.arange(COUNT)))  # m
+MICROMETRES = 1e6 * RADII
+PIXELS = MICROMETRES / 3.2
 SCALES = {"pixel_size_m": 3.2e-6, "frame_rate_fps": 1e6}
 
 
@@ -39,18 +41,34 @@ def check(
             assert getattr(trace.given, name) == pytest.approx(value, rel=1e-9)
 
 
-def tracker_rows(*, scale: float | None = 3.2, rate: float | None = 1e6) -> list[list[str]]:
+def load_rows(folder: Path, rows: list[str], name: str = "gel.csv", **how) -> TraceSet:
+    """What is read of rows of a time in us and a radius in um."""
+    return load_text(folder, "\n".join(["t (us),R (um)", *rows]), name, **how)
+
+
+def dimensionless(curves: int, *, time_scale: float) -> dict[str, np.ndarray]:
+    """What IMR codes save of so many curves, the time of whose maximum is 0."""
+    return {
+        "R_nondim_All": as_cells([RADII / RADII.max()] * curves),
+        "t_nondim_All": as_cells([TIMES / time_scale + 1e-3] * curves),
+        "RmaxList": np.full(curves, RADII.max()),
+    }
+
+
+TABLE = pd.DataFrame({"Time_s": TIMES, "Radius_um": MICROMETRES})
+
+
+def tracker_rows(*, scaled: bool = True) -> list[list[str]]:
     """The table of BubbleTrack 3.0: frames without a bubble are left out of it."""
-    header = ["Frame", *(["Time_s"] if rate else []), "Radius_px", "Center_Row_px", "Center_Col_px"]
-    header += ["Radius_um", "Center_Row_um", "Center_Col_um"] if scale else []
-    rows = [header]
-    for i, radius in enumerate(1e6 * RADII):
-        row = [str(i + 1), *([f"{i / rate:.8f}"] if rate else [])]
-        row += [f"{x:.4f}" for x in (radius / 3.2, 60.0, 61.0)]
-        rows.append(
-            row + ([f"{x * scale:.4f}" for x in (radius / 3.2, 60.0, 61.0)] if scale else [])
-        )
-    return rows
+    frames = np.arange(COUNT)
+    lengths = {"Radius": PIXELS, "Center_Row": frames * 0 + 60.0, "Center_Col": frames * 0 + 61.0}
+    columns = {"Frame": [str(i + 1) for i in frames]}
+    if scaled:
+        columns["Time_s"] = [f"{time:.8f}" for time in TIMES]
+    for unit, factor in (("px", 1.0), ("um", 3.2))[: 2 if scaled else 1]:
+        for name, values in lengths.items():
+            columns[f"{name}_{unit}"] = [f"{x * factor:.4f}" for x in values]
+    return [list(columns), *map(list, zip(*columns.values(), strict=True))]
 
 
 def test_that_a_table_of_bubbletrack_has_its_radii_in_micrometres(tmp_path):
@@ -69,10 +87,10 @@ def test_that_a_workbook_of_bubbletrack_is_read_alike(tmp_path):
 
 
 def test_that_pixels_and_frames_of_bubbletrack_take_their_scales_from_the_json_beside(tmp_path):
-    rows = tracker_rows(scale=None, rate=None)
+    rows = tracker_rows(scaled=False)
     table = "\n".join(",".join(row) for row in rows)
     check(load_text(tmp_path, table, beside=SCALES), digits=1e-5)
-    pixels = np.concatenate([[-1.0, -1.0], 1e6 * RADII / 3.2, [-1.0]])
+    pixels = np.concatenate([[-1.0, -1.0], PIXELS, [-1.0]])
     centres = np.zeros((len(pixels), 2))
     edges = as_cells([np.zeros((3, 2))] * len(pixels))
     content = {"Radius": pixels[None], "CircleFitPar": centres, "CircleXY": edges}
@@ -88,17 +106,16 @@ def test_that_pixels_and_frames_of_bubbletrack_take_their_scales_from_the_json_b
 @pytest.mark.parametrize("with_peak", [True, False])
 def test_that_a_curve_of_bubbletrack_has_marks_for_frames_without_a_bubble(tmp_path, with_peak):
     """Radii in um, -1 pixel where there was no bubble, and a fitted peak between the frames."""
-    radius = np.concatenate([np.full(3, -3.2), 1e6 * RADII])
+    radius = np.concatenate([np.full(3, -3.2), MICROMETRES])
     times = 1e-6 * np.arange(-3.0, COUNT)
     radius[25] = -3.2
-    content = {"R": radius[:, None], "t": times[:, None]}
+    peak = {}
     if with_peak:
         radius = np.insert(radius, 4, 200.5)
         times = np.insert(times, 4, 0.4e-6) - 0.4e-6
         times[4] = 0.0
-        content = {"R": radius[:, None], "t": times[:, None]}
-        content |= {"RmaxAll": np.array([[200.5]]), "RmaxTimeLoc": np.array([[4.4e-6]])}
-    traces = load_saved(tmp_path, content)
+        peak = {"RmaxAll": 200.5, "RmaxTimeLoc": 4.4e-6}
+    traces = load_saved(tmp_path, {"R": radius[:, None], "t": times[:, None]} | peak)
     (trace,) = traces
     kept = np.delete(RADII, 22)
     assert_close(trace.radius_m, torch.as_tensor(kept), rtol=1e-9, atol=0)
@@ -111,13 +128,13 @@ def test_that_a_curve_of_bubbletrack_has_marks_for_frames_without_a_bubble(tmp_p
 
 
 def test_that_single_marks_before_the_first_bubble_are_no_bubble_yet(tmp_path):
-    rows = [f"{i},{-5 if i < 4 else 1e6 * RADII[i]}" for i in range(COUNT)]
-    traces = load_text(tmp_path, "\n".join(["t (us),R (um)", *rows]))
+    rows = [f"{i},{-5 if i < 4 else MICROMETRES[i]}" for i in range(COUNT)]
+    traces = load_rows(tmp_path, rows)
     check(traces, first=4)
     assert traces.left_out[0].count == 4
     rows[10] = rows[11] = "10,-5"
     with pytest.raises(InputDataError, match="which is negative"):
-        load_text(tmp_path, "\n".join(["t (us),R (um)", *rows]), "bad.csv")
+        load_rows(tmp_path, rows, "bad.csv")
 
 
 @pytest.mark.parametrize(
@@ -133,8 +150,8 @@ def test_that_imr_codes_save_metres_or_micrometres_and_seconds(tmp_path, radius,
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        ({"R_exp": 1e6 * RADII / 3.2}, {"radius_unit": "px", "pixel_size_m": 3.2e-6}),
-        ({"R_exp": 1e6 * RADII, "t_exp": 1e6 * TIMES}, {"radius_unit": "um", "time_unit": "us"}),
+        ({"R_exp": PIXELS}, {"radius_unit": "px", "pixel_size_m": 3.2e-6}),
+        ({"R_exp": MICROMETRES, "t_exp": 1e6 * TIMES}, {"radius_unit": "um", "time_unit": "us"}),
     ],
 )
 def test_that_what_an_import_wizard_asks_for_may_stand_beside_the_file(tmp_path, content, said):
@@ -143,9 +160,9 @@ def test_that_what_an_import_wizard_asks_for_may_stand_beside_the_file(tmp_path,
 
 def test_that_names_of_imr_codes_do_not_stand_for_other_units(tmp_path):
     for name, content in {
-        "times in us": {"R": 1e6 * RADII, "t": 1e6 * TIMES},
+        "times in us": {"R": MICROMETRES, "t": 1e6 * TIMES},
         "R over Rmax": {"R2": RADII / RADII.max(), "t2": TIMES},
-        "other names": {"rad": 1e6 * RADII, "time": TIMES},
+        "other names": {"rad": MICROMETRES, "time": TIMES},
     }.items():
         with pytest.raises(InputDataError, match=r"no unit\. If this is right, add --layout"):
             print(name, load_saved(tmp_path, content))
@@ -186,13 +203,10 @@ def test_that_structs_of_experiments_are_curves(tmp_path):
 
 def test_that_an_empty_cell_of_imr_prime_is_left_out_and_said(tmp_path):
     """Its scripts leave the cells of discarded experiments empty, with a maximum radius of 0."""
-    scale = RADII.max() * (998.0 / 101325.0) ** 0.5
-    empty = np.empty((0, 0))
-    content = {
-        "R_nondim_All": as_cells([RADII / RADII.max(), empty, RADII / RADII.max()]),
-        "t_nondim_All": as_cells([TIMES / scale + 1e-3, empty, TIMES / scale + 1e-3]),
-        "RmaxList": np.array([[RADII.max(), 0.0, RADII.max()]]),
-    }
+    content = dimensionless(3, time_scale=RADII.max() * (998.0 / 101325.0) ** 0.5)
+    for name in ("R_nondim_All", "t_nondim_All"):
+        content[name][1, 0] = np.empty((0, 0))
+    content["RmaxList"][1] = 0.0
     traces = load_saved(tmp_path, content)
     check(traces, count=2, max_radius_m=RADII.max())
     assert traces.ids == ("gel_01", "gel_03")
@@ -213,22 +227,19 @@ def test_that_empty_cells_alone_hold_no_curve(tmp_path, cells, message):
         load_saved(tmp_path, content)
 
 
-@pytest.mark.parametrize("where", ["file", "beside"])
+@pytest.mark.parametrize(
+    ("saved", "beside"),
+    [
+        ({"rho": 1064.0, "P_inf": 95000.0}, None),
+        ({}, {"medium": {"density": 1064.0, "pressure": [95000.0, 500.0]}}),
+    ],
+)
 def test_that_dimensionless_times_are_undone_with_the_density_and_pressure_of_their_author(
-    tmp_path, where
+    tmp_path, saved, beside
 ):
-    scale = RADII.max() * (1064.0 / 95000.0) ** 0.5
-    content = {
-        "R_nondim_All": as_cells([RADII / RADII.max()]),
-        "t_nondim_All": as_cells([TIMES / scale + 1e-3]),
-        "RmaxList": RADII.max(),
-    }
-    if where == "file":
-        content |= {"rho": 1064.0, "P_inf": 95000.0}
-    else:
-        medium = {"medium": {"density": 1064.0, "pressure": [95000.0, 500.0]}}
-        (tmp_path / "gel.json").write_text(json.dumps(medium))
-    traces = load_saved(tmp_path, content)
+    time_scale = RADII.max() * (1064.0 / 95000.0) ** 0.5
+    content = dimensionless(1, time_scale=time_scale) | saved
+    traces = load_saved(tmp_path, content, beside=beside)
     check(traces, max_radius_m=RADII.max())
     assert "undone with 1064 kg/m^3 and 95000 Pa" in traces.notes[1]
     with pytest.raises(InputDataError, match=r"'rho' \(density\) is .*one positive number"):
@@ -245,19 +256,19 @@ def test_that_a_matrix_of_curves_beside_their_times_is_a_curve_a_row_or_column(t
 
 
 def test_that_inca_gives_converted_curves_its_table_and_what_it_exports_for_imr(tmp_path):
-    converted = {"AverageRadius": 1e6 * RADII, "TimeVector": TIMES, "Area": np.ones(COUNT)}
+    converted = {"AverageRadius": MICROMETRES, "TimeVector": TIMES, "Area": np.ones(COUNT)}
     info = np.zeros(COUNT, dtype=[("AverageRadius", object), ("Area", object)])
     check(
         load_saved(
             tmp_path,
-            {"alternatePlotSet": converted, "BubbleRadius": 1e6 * RADII / 3.2, "infoStruct": info},
+            {"alternatePlotSet": converted, "BubbleRadius": PIXELS, "infoStruct": info},
             "saved.mat",
         )
     )
-    exported = {"RoFT": 1e6 * RADII / 3.2, "t": TIMES, "FTs": np.ones((COUNT, 4))}
+    exported = {"RoFT": PIXELS, "t": TIMES, "FTs": np.ones((COUNT, 4))}
     check(load_saved(tmp_path, {"data": exported}, "imr.mat", beside=SCALES))
     names = "Centroid;Average Radius;Area;Perimeter;Surface Area;Volume;a0;b0;a1;b1"
-    rows = [f'"60, 61";{r:.9g};1;1;1;1;1;1;{r:.9g};{r:.9g}' for r in 1e6 * RADII / 3.2]
+    rows = [f'"60, 61";{r:.9g};1;1;1;1;1;1;{r:.9g};{r:.9g}' for r in PIXELS]
     lost = ";".join(["NaN"] * 10)
     check(load_text(tmp_path, "\n".join([names, lost, *rows]), beside=SCALES), digits=1e-8)
 
@@ -265,34 +276,33 @@ def test_that_inca_gives_converted_curves_its_table_and_what_it_exports_for_imr(
 @pytest.mark.parametrize("version", ["v7", "v7.3"])
 def test_that_tables_timetables_and_strings_of_matlab_are_read(tmp_path, version):
     path = tmp_path / "gel.mat"
-    table = pd.DataFrame({"Time_s": TIMES, "Radius_um": 1e6 * RADII})
-    matio.save_to_mat(str(path), {"T": table}, version=version)
+    matio.save_to_mat(str(path), {"T": TABLE}, version=version)
     check(load_traces(path))
-    shots = pd.concat([table.assign(shot="first"), table.assign(shot="second")], ignore_index=True)
+    shots = pd.concat([TABLE.assign(shot=x) for x in ("first", "second")], ignore_index=True)
     matio.save_to_mat(str(path), {"T": shots}, version=version)
     traces = load_traces(path)
     check(traces, count=2)
     assert traces.ids == ("first", "second")
     index = pd.Index((1e9 * TIMES).round().astype("timedelta64[ns]"), name="Time")
-    timetable = pd.DataFrame({"R_um": 1e6 * RADII}, index=index)
+    timetable = pd.DataFrame({"R_um": MICROMETRES}, index=index)
     with pytest.warns(Warning, match="Defaulting to"):
         matio.save_to_mat(str(path), {"TT": timetable}, version=version)
     check(load_traces(path))
-    texts = {"time_unit": np.array("us", dtype=np.dtypes.StringDType()).reshape(1, 1)}
-    texts["radius_unit"] = np.array("um", dtype=np.dtypes.StringDType()).reshape(1, 1)
-    content = {"t_exp": 1e6 * TIMES, "R_exp": 1e6 * RADII, **texts}
+    content = {"t_exp": 1e6 * TIMES, "R_exp": MICROMETRES}
+    for name, unit in (("time_unit", "us"), ("radius_unit", "um")):
+        content[name] = np.array([[unit]], dtype=np.dtypes.StringDType())
     matio.save_to_mat(str(path), content, version=version)
     check(load_traces(path))
 
 
 def test_that_names_of_cells_and_numbers_of_frames_tell_no_rows_apart(tmp_path):
-    curves = {"R_um": as_cells([1e6 * RADII] * 2), "t_us": 1e6 * TIMES}
+    curves = {"R_um": as_cells([MICROMETRES] * 2), "t_us": 1e6 * TIMES}
     check(
         load_saved(tmp_path, curves | {"id": as_cells(["first", "second"])}, "cells.mat"), count=2
     )
-    frames = {"id": np.arange(COUNT), "R_um": 1e6 * RADII, "t_us": 1e6 * TIMES}
+    frames = {"id": np.arange(COUNT), "R_um": MICROMETRES, "t_us": 1e6 * TIMES}
     check(load_saved(tmp_path, {"shot": frames}, "frames.mat"))
-    axes = {"a_um": as_cells([1e6 * RADII] * 3), "b_um": as_cells([1e6 * RADII] * 2)}
+    axes = {"a_um": as_cells([MICROMETRES] * 3), "b_um": as_cells([MICROMETRES] * 2)}
     with pytest.raises(InputDataError, match=r"'b_um' holds 2 vectors and 'a_um' 3; .* half axes"):
         load_saved(tmp_path, axes | {"t_us": 1e6 * TIMES}, "axes.mat")
 
@@ -300,11 +310,11 @@ def test_that_names_of_cells_and_numbers_of_frames_tell_no_rows_apart(tmp_path):
 def test_that_digitised_curves_are_sorted_where_this_is_asked_for(tmp_path):
     order = np.random.default_rng(1).permutation(COUNT)
     order = np.append(order, order[0])
-    rows = [f"{1e6 * TIMES[i]:.6g},{1e6 * RADII[i]:.9g}" for i in order]
+    rows = [f"{1e6 * TIMES[i]:.6g},{MICROMETRES[i]:.9g}" for i in order]
     with pytest.raises(
         InputDataError, match=r"goes back from .*let --sort .*sort the rows by time"
     ):
-        load_text(tmp_path, "\n".join(["t (us),R (um)", *rows]))
+        load_rows(tmp_path, rows)
     traces = load_traces(tmp_path / "gel.csv", sort=True)
     check(traces, digits=1e-8)
     assert [(x.rows, x.reason) for x in traces.left_out] == [
@@ -314,8 +324,8 @@ def test_that_digitised_curves_are_sorted_where_this_is_asked_for(tmp_path):
 
 def test_that_two_half_axes_are_a_radius_and_an_asphericity(tmp_path):
     stretch = np.linspace(0.9, 1.1, COUNT)
-    across = 1e6 * RADII * stretch ** (1 / 3)
-    along = 1e6 * RADII * stretch ** (-2 / 3)
+    across = MICROMETRES * stretch ** (1 / 3)
+    along = MICROMETRES * stretch ** (-2 / 3)
     across[0] = 0.0
     rows = [f"{1e6 * t},{a:.12g},{b:.12g}" for t, a, b in zip(TIMES, across, along, strict=True)]
     traces = load_text(tmp_path, "\n".join(["t (us),a (um),b (um)", *rows]))
@@ -331,7 +341,7 @@ def test_that_two_half_axes_are_a_radius_and_an_asphericity(tmp_path):
 
 def test_that_lengths_of_fitted_ellipses_take_their_scales_from_the_json_beside(tmp_path):
     """Ellipses that were fitted to frames: half axes in pixels, -1 where there was no bubble."""
-    lengths = np.concatenate([[-1.0, -1.0], 1e6 * RADII / 3.2])
+    lengths = np.concatenate([[-1.0, -1.0], PIXELS])
     axes = {"a_lengths": 1.1 ** (1 / 3) * lengths, "b_lengths": 1.1 ** (-2 / 3) * lengths}
     traces = load_saved(tmp_path, axes, beside=SCALES)
     check(traces)
@@ -353,12 +363,11 @@ def test_that_collapse_times_of_parsimonious_imr_are_read(tmp_path):
 
 
 def test_that_tables_of_matlab_ask_for_the_library_that_reads_them(tmp_path, monkeypatch):
-    table = pd.DataFrame({"Time_s": TIMES, "Radius_um": 1e6 * RADII})
     monkeypatch.setattr(matlab, "find_spec", lambda name: None)
     for version in ("v7", "v7.3"):
-        matio.save_to_mat(str(tmp_path / "table.mat"), {"T": table}, version=version)
+        matio.save_to_mat(str(tmp_path / "table.mat"), {"T": TABLE}, version=version)
         with pytest.raises(UnsupportedError, match=r"table\.mat: .* pip install mat-io; or save"):
             load_traces(tmp_path / "table.mat")
-        plain = {"t_s": TIMES, "R_um": 1e6 * RADII}
+        plain = {"t_s": TIMES, "R_um": MICROMETRES, "R0": 3.0}
         matio.save_to_mat(str(tmp_path / "plain.mat"), plain, version=version)
         check(load_traces(tmp_path / "plain.mat"))
