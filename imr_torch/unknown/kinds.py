@@ -29,6 +29,10 @@ of radius and time in each frame, as of :meth:`Shot.reread`."""
 BACKGROUND = 0.3
 """Size of what may be missing where the gel or the contents have no pressure of their own, p_inf."""
 
+CAMERA_ERRORS = 0.1
+"""The same of errors of the camera, in R* of a bubble of 200 um and in t*. What is larger than three
+times that is none."""
+
 
 def nystroem_basis(
     states: Float[Tensor, "points state"], *, most: int = 45, apart: float = 0.4
@@ -129,4 +133,4 @@ def camera_errors(number: int, shot: Shot, response: Response) -> Tensor:
     by_radius = radii(response.prediction[:, None] / 0.3)
     by_time = moments(shot.batch.times[0][:, None] / 0.8)
     errors = torch.cat((by_radius, by_time), 1)
-    return BACKGROUND * torch.block_diag(errors / response.path.size, errors)
+    return CAMERA_ERRORS * torch.block_diag(errors / response.path.size, errors)
