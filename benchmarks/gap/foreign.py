@@ -81,7 +81,6 @@ EFFECTS = {
     "two_times": {"material"},
 }
 """Effect -> kinds that are right."""
-OWN_KINDS |= EFFECTS
 PATHS = {"repeats": (10, Noise()), "single": (1, Noise(scale=0.4))}
 """Repeats of a design, and the law of one's noise."""
 PRESSURES = ("surface_viscosity", "darcy", "two_times")
@@ -336,7 +335,9 @@ def write_scores(lines: Sequence[Line]) -> str:
             seen = f"{sum(x['p_gap'] < 0.05 for x in some)} of {len(some)}"
             named = count_words("+".join(x["cause"]) for x in some if is_named(x))
             sd, share, cost = (median_of(some, x) for x in ("signal", "S", "cpu"))
-            rows.append((name, sd, seen, named, share, cost, *score_group(some)))
+            rows.append(
+                (name, sd, seen, named, share, cost, *score_group(some, OWN_KINDS | EFFECTS))
+            )
         pages.append(f"{path}\n\n{write_table(head, rows)}")
     return "\n\n".join(pages)
 

@@ -186,9 +186,9 @@ def effect_of(line: Line) -> str:
     return line.get("effect") or next(iter(line["truth"]), "none")
 
 
-def kinds_of(effect: str) -> set[str]:
-    """Kinds that are right for an effect."""
-    return OWN_KINDS[effect] if effect in OWN_KINDS else PLACES[LIBRARY[effect].place]
+def kinds_of(effect: str, own: Mapping[str, set[str]]) -> set[str]:
+    """Kinds that are right for an effect: its own, or those of its place."""
+    return own[effect] if effect in own else PLACES[LIBRARY[effect].place]
 
 
 def median_of(lines: Sequence[Line], name: str) -> str:
@@ -215,12 +215,14 @@ SCORES = (
 )
 
 
-def score_group(lines: Sequence[Line]) -> tuple[object, ...]:
-    """What ``SCORES`` says of some sets."""
+def score_group(
+    lines: Sequence[Line], own: Mapping[str, set[str]] = OWN_KINDS
+) -> tuple[object, ...]:
+    """What ``SCORES`` says of some sets; ``own`` are kinds that are right for single effects."""
     asked = [x for x in lines if x.get("explained") is not None]
     clear = [x for x in asked if x["explained"] > EXPLAINS]
     sure = [x for x in clear if max(x["kinds"].values()) > SURE]
-    right = [x for x in sure if x["kind"] in kinds_of(effect_of(x))]
+    right = [x for x in sure if x["kind"] in kinds_of(effect_of(x), own)]
     terms = [
         f"{effect_of(x)}: {name}"
         for x in clear

@@ -171,7 +171,6 @@ class ModelSearch:
         """Add the minimum below a point, by bubbles that take the solver steps of one."""
         left = self.options.iterations
         options = self.options.descent
-
         limit = self._highest_useful()
 
         def lower_cost(leader: Point | None, gradient: float, reach: float = math.inf) -> Descent:

@@ -242,12 +242,13 @@ def _descend(
     near.sort(key=lambda i: fits[i].cost)
     own = replace(options, starts=2, mask_collapses=False)
     report = within(progress, 0.65, 0.8, name="near the best")
-    for places, again in ((near[:twice], True), (near[twice:], False)):
+    others = near[twice:]
+    if error < NEARLY:
+        for i in others:
+            fits[i] = replace(fits[i], certificate=found[i].certificate)
+        others = []
+    for places, again in ((near[:twice], True), (others, False)):
         if not places:
-            continue
-        if not again and error < NEARLY:
-            for i in places:
-                fits[i] = replace(fits[i], certificate=found[i].certificate)
             continue
         chosen = tuple(fits[i] for i in places)
         kept = even_belief(fit.prior for fit in chosen)

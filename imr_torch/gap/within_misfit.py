@@ -30,9 +30,8 @@ WIDE = 0.5
 AGAIN = 0.2
 """The same of one that begins at known fits."""
 
-_AHEAD = (
-    8  # hypotheses whose most probable points beside slow noise are found, or that are fitted anew
-)
+# hypotheses whose most probable points beside slow noise are found, or that are fitted anew
+_AHEAD = 8
 # p-value below which the verdict was "other" in 13 of 13 measured sets
 _LARGE_GAP = 1e-6
 _SIFTED = 5  # starts of an effect; minima that noise of this size leaves are of about one depth

@@ -239,12 +239,12 @@ def _missing_pressures(
     step = 1e-4
     gels = (beside, search.base.mean, *(beside - step * eye(len(beside))))
     root = found.as_rival(columns).root
+    to_si = search.base.prior.to_si
     surroundings = search.shots[0].simulator.conditions.surroundings
     scale = surroundings.far_field_pressure
     missing = []
     for number, (shot, response) in enumerate(zip(search.shots, found.responses, strict=True)):
         path = response.path
-        to_si = search.base.prior.to_si
         own, base, *others = [shot.stress_along(path, to_si(gel)) for gel in gels]
         slopes = torch.stack([(own - other) / step for other in others])
         # as coarse in time as what is inferred

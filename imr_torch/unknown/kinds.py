@@ -30,8 +30,8 @@ BACKGROUND = 0.3
 """Size of what may be missing where the gel or the contents have no pressure of their own, p_inf."""
 
 CAMERA_ERRORS = 0.1
-"""The same of errors of the camera, in R* of a bubble of 200 um and in t*. What is larger than three
-times that is none."""
+"""Size of errors of the camera, in R* of a bubble of 200 um and in t*; at most three times as much is
+tried, as of all sizes."""
 
 
 def nystroem_basis(
