@@ -68,8 +68,11 @@ def test_that_the_only_curve_of_a_file_can_be_left_out(tmp_path, capsys):
     with without_fits(), pytest.raises(Reached):
         main([*line, "--exclude", "shot_1"])
     assert "1 curve(s)" in capsys.readouterr().out
-    assert main([*line, "--exclude", "shot_1,shot_2,none"]) == 2
-    assert "No experiment 'none'" in capsys.readouterr().err
+    for wrong in ("--exclude=shot_1,shot_2,none", "--experiments=none"):
+        assert main([*line, wrong]) == 2
+        said = capsys.readouterr().err
+        assert "No experiment 'none'" in said
+        assert "can be left out" not in said
 
 
 def test_that_a_fit_keeps_what_is_known_and_takes_the_experiments_that_are_named(tmp_path):

@@ -40,7 +40,8 @@ def run_command(args: Namespace) -> None:
         _characterize(args)
     except InputDataError as error:
         named = re.findall(r"experiment '([^',]+)'", str(error))
-        bad = [name for name in named if name not in (args.exclude or ())]
+        chosen = {*(args.exclude or ()), *(args.experiments or ())}  # their names may be the fault
+        bad = [name for name in named if name not in chosen]
         more = f" One of several curves can be left out: --exclude {bad[0]}" if bad else ""
         raise InputDataError(f"{error}{more}") from None
 
