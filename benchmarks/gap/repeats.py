@@ -2,11 +2,12 @@
 effect.
 
   python -m benchmarks.gap.repeats run OUT.jsonl [--sets 67] [--size 3x10] [--physics transport]
-      [--truths reference] [--seed 0] [--workers 2]
+      [--truths reference] [--seed 0] [--workers 2] [--parts]
   python -m benchmarks.gap.repeats labelled FOLDER OUT.jsonl [--workers 2]
   python -m benchmarks.gap.repeats table OUT.jsonl ...
 
-`labelled` takes sets of a separate program (``*.npz`` beside ``labels.json``).
+`labelled` takes sets of a separate program (``*.npz`` beside ``labels.json``). With `--parts` shares
+and intervals are judged too (:mod:`benchmarks.gap.shares`).
 Rmax, time zero and R_inf of each experiment are uncertain. Probabilities are those at even prior
 odds of an unknown effect, so sets with an effect of the library and sets whose effect was withheld
 count evenly, whatever their numbers. Bins have equal numbers of sets; a bin is calibrated if what
@@ -22,7 +23,17 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-from benchmarks.gap.sets import PHYSICS, TRUTHS, Task, make_set
+from benchmarks.gap.sets import (
+    GEL,
+    PHYSICS,
+    TRUTHS,
+    Task,
+    draw_designs,
+    film,
+    make_plan,
+    make_set,
+)
+from benchmarks.gap.shares import FURTHER, judge_parts, score_parts
 from benchmarks.gap.verdicts import families, is_in_class, is_named, posterior_of, summarise
 from benchmarks.records import (
     Figure,
@@ -35,8 +46,8 @@ from benchmarks.records import (
 )
 from imr_torch.errors import ConvergenceWarning
 from imr_torch.gap import diagnose
-from imr_torch.observe import load_set
-from imr_torch.random import child
+from imr_torch.observe import Experiment, load_set
+from imr_torch.random import child, generator
 from imr_torch.simulate import ACCURACIES, TransportSimulator
 
 KINDS = ("none", "effect", "withheld")
@@ -45,14 +56,30 @@ _STATED = 0.1  # chance of an unknown effect from which on a verdict says so
 _SURE = 0.9
 
 
-def diagnose_set(task: Task) -> Line:
-    """Make a set, diagnose it and judge the diagnosis."""
+def diagnose_set(task: Task, *, parts: bool = False) -> Line:
+    """Make a set, diagnose it and judge the diagnosis, with ``parts`` what stands beside it too."""
     warnings.simplefilter("ignore", ConvergenceWarning)  # certificates are in the line
     data = make_set(task)
     seed = child(task.seed, "diagnosis", task.key)
     report = diagnose(data.experiments, effects=data.offered, simulator=task.simulator(), seed=seed)
     line = {"truth": data.truth, "values": data.values, "signal": data.signal}
-    return line | summarise(report)
+    line |= summarise(report)
+    if parts:
+        further = partial(film_further, task, data.values)
+        truth = {name: data.values[name] for name in GEL}
+        line["truth_names"] = data.truth
+        line |= judge_parts(report, task.simulator(), further, truth, seed=child(seed, "parts"))
+    return line
+
+
+def film_further(task: Task, values: dict[str, float]) -> tuple[Experiment, ...]:
+    """Shots of the same gel and effect at designs of their own."""
+    source = generator(child(task.seed, "further", task.key))
+    while True:
+        plan = make_plan(draw_designs(FURTHER, source), task)
+        shots = film(values, plan, task, source)
+        if shots is not None:
+            return shots
 
 
 def diagnose_labelled_set(file: Path, effect: str) -> Line:
@@ -176,7 +203,7 @@ def write_scores(lines: Sequence[Line]) -> str:
         own = [x for x in lines if (x["physics"], x["truths"]) == (physics, truths)]
         failed = sum("error" in line for line in own)
         head = f"Physics {physics}, truths by {truths}: {len(own)} sets, {failed} failed."
-        pages.append(f"{head}\n\n{write_figures(score_causes(own))}")
+        pages.append(f"{head}\n\n{write_figures([*score_causes(own), *score_parts(own)])}")
     return "\n\n".join(pages)
 
 
@@ -211,7 +238,9 @@ def run_tasks(
 def main() -> None:
     """Run or tabulate."""
     parser, commands = start_commands(__doc__)
-    add_task_arguments(commands.add_parser("run", help="make and diagnose sets"))
+    runs = commands.add_parser("run", help="make and diagnose sets")
+    add_task_arguments(runs)
+    runs.add_argument("--parts", action="store_true", help="judge shares and intervals too")
     labelled = commands.add_parser("labelled", help="diagnose sets of a separate program")
     labelled.add_argument("folder", type=Path)
     add_out(labelled)
@@ -221,7 +250,7 @@ def main() -> None:
     elif args.what == "labelled":
         lines = run_labelled(args.folder, args.out, args.workers)
     else:
-        lines = run_tasks(args, KINDS, diagnose_set)
+        lines = run_tasks(args, KINDS, partial(diagnose_set, parts=args.parts))
     print(write_scores(lines))
 
 

@@ -10,7 +10,8 @@ curves are: Rmax, time zero, R_inf and the window from the curve itself, everyth
 with `--stated` R_inf is stated with an error of 1 %. The kinds of noise are those of `NOISES`;
 `effect` has an effect of the library and the published noise times .4, `withheld` one that is taken
 out of the library; in `gels` each shot has a gel of its own (G and mu differ by 30 %). With
-`--shown` an effect that the true noise does not show at p < .001 is not diagnosed. `labelled` takes
+`--shown` an effect that the true noise does not show at p < .001 is not diagnosed; with `--parts`
+shares and intervals are judged too (:mod:`benchmarks.gap.shares`). `labelled` takes
 sets of a separate program (one repeat of each, and the mean of all repeats as one curve, which has
 the noise of one over the root of their number). Each line has the p-value by the inferred noise and
 by the true one. `characterize` runs on every fifth set without an effect (`--every`). A run goes on
@@ -23,6 +24,7 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -33,6 +35,7 @@ from scipy.stats import kstest
 from torch import Tensor
 
 from benchmarks.gap.sets import GEL, SHARP, draw_designs, draw_effect
+from benchmarks.gap.shares import FURTHER, judge_parts, score_parts
 from benchmarks.gap.verdicts import families, is_named
 from benchmarks.records import (
     Job,
@@ -41,6 +44,7 @@ from benchmarks.records import (
     read_record,
     run_missing_jobs,
     start_commands,
+    write_figures,
     write_table,
 )
 from imr_torch import characterize, wide_prior
@@ -149,8 +153,6 @@ def simulate_set(
     """
     source = generator(child(seed, "single curves", kind, number))
     names = [effect.name for effect in library()]
-    times = linspace(0.0, LENGTH, _DENSE)
-    blank = ones(1, _DENSE)
     while True:
         values = {
             name: low * (high / low) ** float(torch.rand((), generator=source))
@@ -162,24 +164,52 @@ def simulate_set(
             effect, drawn = draw_effect(LIBRARY[name], source)
             values |= drawn
             truth |= {"effect": effect.name, "values": drawn}
-        designs = draw_designs(SHOTS, source).tolist()
-        plan = [Experiment(f"{k}", tuple(d), times, blank, FLOOR) for k, d in enumerate(designs)]
-        draws = randn(SHOTS, 3, generator=source)
-        logs = zeros(SHOTS, len(GEL))
-        if kind == "gels":
-            logs = 0.3 * randn(SHOTS, len(GEL), generator=source)
-        clean = _solve_shots(plan, values, draws, logs)
-        if bool(torch.isfinite(clean).all()):
-            break
+        designs = draw_designs(SHOTS, source)
+        filmed = _film(kind, values, designs, source, stated=stated)
+        if filmed is not None:
+            return *filmed, truth
+
+
+def film_further(
+    number: int, kind: str, truth: Line, *, stated: bool, seed: int
+) -> tuple[Experiment, ...]:
+    """Further curves of the same gel and effect at designs of their own, as they are read; drawn
+    anew where one is refused.
+    """
+    source = generator(child(seed, "further curves", kind, number))
+    values = {name: truth[name] for name in GEL} | truth.get("values", {})
+    while True:
+        filmed = _film(kind, values, draw_designs(FURTHER, source), source, stated=stated)
+        with suppress(ImrError):
+            if filmed is not None:
+                return prepare(filmed[0]).experiments
+
+
+def _film(
+    kind: str, values: dict[str, float], designs: Tensor, source: torch.Generator, *, stated: bool
+) -> tuple[TraceSet, list[Noise]] | None:
+    """A curve of each design, and the law of its noise; None where one cannot be simulated."""
+    count = len(designs)
+    times = linspace(0.0, LENGTH, _DENSE)
+    blank = ones(1, _DENSE)
+    pairs = designs.tolist()
+    plan = [Experiment(f"{k}", tuple(d), times, blank, FLOOR) for k, d in enumerate(pairs)]
+    draws = randn(count, 3, generator=source)
+    logs = zeros(count, len(GEL))
+    if kind == "gels":
+        logs = 0.3 * randn(count, len(GEL), generator=source)
+    clean = _solve_shots(plan, values, draws, logs)
+    if not bool(torch.isfinite(clean).all()):
+        return None
     acted = dict.fromkeys(ACTED, white(Noise(scale=0.4)))
     camera = (NOISES | acted | {"gels": NOISES["published"]})[kind]
     traces = []
     laws = []
-    for shot, (weber, rest) in enumerate(designs):
+    for shot, (weber, rest) in enumerate(pairs):
         t, r, law = camera(times, clean[shot], shot, source)
         traces.append(trace(f"shot {shot}", t, r, weber, rest if stated else None))
         laws.append(law)
-    return TraceSet(tuple(traces)), laws, truth
+    return TraceSet(tuple(traces)), laws
 
 
 def _solve_shots(
@@ -243,10 +273,16 @@ def read_labelled(
 
 
 def diagnose_traces(
-    key: str, traces: TraceSet, laws: Sequence[Noise], truth: Line, *, shown: bool = False
+    key: str,
+    traces: TraceSet,
+    laws: Sequence[Noise],
+    truth: Line,
+    *,
+    shown: bool = False,
+    further: Callable[[], Sequence[Experiment]] | None = None,
 ) -> Line:
     """What is said of one set, and the same test by the true noise; that alone where only effects
-    that are ``shown`` by it count.
+    that are ``shown`` by it count. With ``further`` curves shares and intervals are judged too.
     """
     kind = key.split("/")[0]
     line: Line = {"kind": kind, "truth": truth}
@@ -282,6 +318,10 @@ def diagnose_traces(
     if report.batch.times.shape == batch.times.shape:
         ratio = report.batch.sd(report.null.prediction) / batch.sd(null.prediction)
         line["noise_over_truth"] = math.exp(float(ratio[batch.mask].log().mean()))
+    if further is not None:
+        gel = {name: truth[name] for name in GEL}
+        line["truth_names"] = [truth["effect"]]
+        line |= judge_parts(report, FITS, further, gel, seed=child(1, key))
     return line
 
 
@@ -328,13 +368,17 @@ def judge_simulated(
     fit: bool,
     diagnosed: bool,
     shown: bool,
+    parts: bool,
     seed: int,
 ) -> Line:
     """The line of a simulated set; with ``fit`` it is characterised too, or that alone."""
     traces, laws, truth = simulate_set(number, kind, stated=stated, seed=seed)
     if not diagnosed:
         return {"kind": kind, "truth": truth} | characterize_traces(traces, truth, number)
-    line = diagnose_traces(f"{kind}/{number}", traces, laws, truth, shown=shown)
+    further = partial(film_further, number, kind, truth, stated=stated, seed=seed)
+    line = diagnose_traces(
+        f"{kind}/{number}", traces, laws, truth, shown=shown, further=further if parts else None
+    )
     if fit and "refused" not in line:
         line |= characterize_traces(traces, truth, number)
     return line
@@ -363,6 +407,7 @@ def list_jobs(args: argparse.Namespace) -> Mapping[str, Job]:
             fit=bool(fit),
             diagnosed=not args.fits_only,
             shown=args.shown,
+            parts=args.parts,
             seed=args.seed,
         )
     return jobs
@@ -395,6 +440,8 @@ def write_scores(lines: Sequence[Line]) -> str:
         pages.append(_write_parts(lines))
     acted = [x for x in lines if x not in quiet and "p_known" in x]
     pages += [_write_named(kind, [x for x in acted if x["kind"] == kind]) for kind in _kinds(acted)]
+    if any("with_error" in x for x in lines):
+        pages.append(write_figures(score_parts(lines)))
     return "\n".join(pages)
 
 
@@ -455,6 +502,7 @@ def main() -> None:
     runs.add_argument("--seed", type=int, default=SEED, help="other sets by another one")
     runs.add_argument("--every", type=int, default=5, help="is characterised too; 0: none")
     runs.add_argument("--shown", action="store_true", help="diagnose effects that p < .001 shows")
+    runs.add_argument("--parts", action="store_true", help="judge shares and intervals too")
     runs.add_argument("--fits-only", action="store_true", help="characterise, and no diagnosis")
     labelled = commands.add_parser("labelled", help="diagnose sets of a separate program")
     labelled.add_argument("folder", type=Path)
