@@ -23,6 +23,7 @@ from tests.campaign import test_telling as told
 from tests.campaign.test_telling import PLAN, shoot
 from tests.journals import cut, rewritten
 from tests.linear import LinearSimulator, prior
+from tests.refusals import refusals
 
 SPACE = DesignSpace(weber=(200.0, 900.0), rest_radius=(0.15, 0.25))
 QUICK = Optimal(Laplace(draws=3, rivals=3), evaluations=4, initial=3)
@@ -92,17 +93,10 @@ def test_a_search_asks_in_batches_for_as_many_designs_in_all():
     assert found.gain == found.search.recommendation.mean
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"evaluations": 5, "initial": 6}, "initial 6 of 5 evaluations"),
-        ({"batch": 0}, "Optimal.batch is 0; expected at least 1"),
-    ],
-    ids=str,
+test_a_search_that_cannot_be_is_refused = refusals(
+    (lambda: Optimal(evaluations=5, initial=6), "initial 6 of 5 evaluations"),
+    (lambda: Optimal(batch=0), "Optimal.batch is 0; expected at least 1"),
 )
-def test_a_search_that_cannot_be_is_refused(options, message):
-    with pytest.raises(InputDataError, match=message):
-        Optimal(**options)
 
 
 @pytest.mark.parametrize(
