@@ -244,13 +244,21 @@ def start_parser(doc: str | None) -> argparse.ArgumentParser:
     )
 
 
-def start_commands(doc: str | None) -> tuple[argparse.ArgumentParser, Any]:
-    """The same with commands (``what``), of which ``table`` has ``files``; others can be added."""
+def start_commands(
+    doc: str | None, *folders: str
+) -> tuple[argparse.ArgumentParser, Any, argparse.ArgumentParser]:
+    """The same with commands (``what``): ``run`` has folders that it reads and ``out``, ``table`` has
+    ``files``; others and more arguments can be added.
+    """
     parser = start_parser(doc)
     commands = parser.add_subparsers(dest="what", required=True)
+    runs = commands.add_parser("run", help="make the lines that a record lacks")
+    for name in folders:
+        runs.add_argument(name, type=Path)
+    add_out(runs)
     tables = commands.add_parser("table", help="score the lines of runs")
     tables.add_argument("files", nargs="+", metavar="OUT.jsonl")
-    return parser, commands
+    return parser, commands, runs
 
 
 def add_out(parser: argparse.ArgumentParser) -> None:

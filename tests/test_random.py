@@ -39,7 +39,7 @@ def test_that_different_paths_and_seeds_have_different_children():
 
 
 def test_that_a_generator_is_passed_through_and_shared():
-    source = torch.Generator().manual_seed(5)
+    source = generator(5)
     assert generator(source) is source
     first, second = (torch.randn(4, generator=generator(source)) for _ in range(2))
     assert not torch.equal(first, second)

@@ -22,6 +22,7 @@ from tests.linear import (
     BOTH,
     CORRELATED,
     MEANS,
+    NHKV,
     SDS,
     LinearSimulator,
     exact,
@@ -56,7 +57,7 @@ def test_that_the_posterior_of_a_linear_simulator_is_exact(batch, members):
 
 
 def test_that_members_that_fail_leave_the_answer_and_too_many_are_an_error():
-    belief = prior(("nhkv",))
+    belief = NHKV
     batch = experiments(3)
     truth = exact(belief.models[0], batch)
     limit = MEANS["G"] + SDS["G"] * (float(truth.mean[0]) + 2.0)
@@ -109,7 +110,7 @@ test_that_bad_options_are_named = refusals(
 
 
 def test_that_a_search_from_an_earlier_fit_stays_there():
-    belief = prior(("nhkv",))
+    belief = NHKV
     batch = experiments(3, nuisance=BOTH)
     first = assimilate_en4dvar(belief, batch, LinearSimulator(), seed=0)
     again = assimilate_en4dvar(belief, batch, LinearSimulator(), seed=1, near=first)

@@ -54,7 +54,7 @@ def shot(*, seed: int = 3, medium: Surroundings | None = None) -> TraceSet:
     bubbles = PolytropicSimulator(Conditions(surroundings=medium))
     design = tensor([medium.weber(size), 0.21])
     radius = bubbles(PARAMETERS.pack(GEL), design, times / medium.time_scale(size)).radius
-    filmed = radius + 0.003 * randn(len(times), generator=torch.Generator().manual_seed(seed))
+    filmed = radius + 0.003 * randn(len(times), generator=generator(seed))
     return TraceSet((RadiusTrace("a", times, size * filmed, "simulated"),))
 
 
