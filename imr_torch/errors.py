@@ -5,13 +5,21 @@ A message says what was expected, what came, and what to do next. A bubble whose
 goes on.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class ImrError(Exception):
     """Root of every error that the toolkit raises on purpose."""
 
 
 class InputDataError(ImrError, ValueError):
-    """A value, file or table that the user gave cannot be used as it stands."""
+    """A value, file or table that the user gave cannot be used as it stands.
+
+    ``experiment`` names the one of several curves or shots that it is about, which can be left out.
+    """
+
+    experiment: str | None = None
 
 
 class ShapeError(ImrError, ValueError):
@@ -40,6 +48,25 @@ class PrecisionWarning(ImrWarning):
 
 class EngineWarning(ImrWarning):
     """The engine asked for could not be used; another one gave the same result, more slowly."""
+
+
+@contextmanager
+def about_experiment(name: str) -> Iterator[None]:
+    """Errors of input within are about one of several curves or shots.
+
+    >>> from imr_torch.errors import InputDataError, about_experiment
+    >>> try:
+    ...     with about_experiment("shot 1"):
+    ...         raise InputDataError("The curve is no bubble's.")
+    ... except InputDataError as error:
+    ...     error.experiment
+    'shot 1'
+    """
+    try:
+        yield
+    except InputDataError as error:
+        error.experiment = name
+        raise
 
 
 def check_at_least(of: object, least: int, *names: str, note: str = "") -> None:
