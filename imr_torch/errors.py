@@ -5,8 +5,10 @@ A message says what was expected, what came, and what to do next. A bubble whose
 goes on.
 """
 
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 
 class ImrError(Exception):
@@ -69,6 +71,40 @@ def about_experiment(name: str) -> Iterator[None]:
         raise
 
 
+def is_positive(value: float) -> bool:
+    """Whether a number is above 0 and finite.
+
+    >>> from imr_torch.errors import is_positive
+    >>> is_positive(2.0), is_positive(0.0), is_positive(float("nan"))
+    (True, False, False)
+    """
+    return 0.0 < value < math.inf
+
+
+def check_fields(of: object, fits: Callable[[Any], bool], expected: str, *names: str) -> None:
+    """Raise unless fields fit, or are None.
+
+    Args:
+        of: whose fields.
+        fits: whether a value does.
+        expected: what does, for the message.
+        names: of the fields; all of them when not given.
+
+    Raises:
+        InputDataError: naming the field, its value and what is expected.
+
+    >>> from types import SimpleNamespace
+    >>> from imr_torch.errors import check_fields, is_positive
+    >>> check_fields(SimpleNamespace(step=-1.0), is_positive, "a positive step")
+    Traceback (most recent call last):
+    imr_torch.errors.InputDataError: SimpleNamespace.step is -1.0; expected a positive step.
+    """
+    for name in names or vars(of):
+        value = getattr(of, name)
+        if value is not None and not fits(value):
+            raise InputDataError(f"{type(of).__name__}.{name} is {value}; expected {expected}.")
+
+
 def check_at_least(of: object, least: int, *names: str, note: str = "") -> None:
     """Raise unless fields are large enough, or None.
 
@@ -87,11 +123,7 @@ def check_at_least(of: object, least: int, *names: str, note: str = "") -> None:
     Traceback (most recent call last):
     imr_torch.errors.InputDataError: SimpleNamespace.repeats is 0; expected at least 1.
     """
-    for name in names:
-        value = getattr(of, name)
-        if value is not None and not value >= least:
-            where = f"{type(of).__name__}.{name}"
-            raise InputDataError(f"{where} is {value}; expected at least {least}{note}.")
+    check_fields(of, lambda value: value >= least, f"at least {least}{note}", *names)
 
 
 def in_one_line(error: BaseException) -> str:

@@ -75,7 +75,7 @@ test_that_bad_input_is_named = refusals(
     ),
     (
         lambda: Surroundings(density=-1.0),
-        r"Surroundings.density is -1.0; it must be a positive finite number",
+        r"Surroundings.density is -1.0; expected a positive finite number",
     ),
     (lambda: Surroundings(temperature=float("nan")), r"Surroundings.temperature is nan"),
 )
