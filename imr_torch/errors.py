@@ -81,14 +81,21 @@ def is_positive(value: float) -> bool:
     return 0.0 < value < math.inf
 
 
-def check_fields(of: object, fits: Callable[[Any], bool], expected: str, *names: str) -> None:
-    """Raise unless fields fit, or are None.
+def check_fields(
+    of: object,
+    fits: Callable[[Any], bool],
+    expected: str,
+    *names: str,
+    optional: bool = False,
+) -> None:
+    """Raise unless fields fit.
 
     Args:
         of: whose fields.
         fits: whether a value does.
         expected: what does, for the message.
         names: of the fields; all of them when not given.
+        optional: whether they may be None.
 
     Raises:
         InputDataError: naming the field, its value and what is expected.
@@ -101,7 +108,7 @@ def check_fields(of: object, fits: Callable[[Any], bool], expected: str, *names:
     """
     for name in names or vars(of):
         value = getattr(of, name)
-        if value is not None and not fits(value):
+        if not (optional and value is None) and not fits(value):
             raise InputDataError(f"{type(of).__name__}.{name} is {value}; expected {expected}.")
 
 
@@ -123,7 +130,8 @@ def check_at_least(of: object, least: int, *names: str, note: str = "") -> None:
     Traceback (most recent call last):
     imr_torch.errors.InputDataError: SimpleNamespace.repeats is 0; expected at least 1.
     """
-    check_fields(of, lambda value: value >= least, f"at least {least}{note}", *names)
+    expected = f"at least {least}{note}"
+    check_fields(of, lambda value: value >= least, expected, *names, optional=True)
 
 
 def in_one_line(error: BaseException) -> str:

@@ -107,6 +107,7 @@ class Layout:
             "frame_interval",
             "pixel_size",
             "max_radius",
+            optional=True,
         )
         if self.max_radius_entries is not None and (
             not self.max_radius_entries or min(self.max_radius_entries) < 1

@@ -57,8 +57,10 @@ class Override:
 
     def __post_init__(self) -> None:
         lengths = ("max_radius_m", "max_radius_sd_m", "rest_radius_m", "rest_radius_sd_m")
-        check_fields(self, is_positive, "a positive length in m, or None", *lengths)
-        check_fields(self, math.isfinite, "seconds, or None", "time_of_max_s", "window_end_s")
+        check_fields(self, is_positive, "a positive length in m, or None", *lengths, optional=True)
+        check_fields(
+            self, math.isfinite, "seconds, or None", "time_of_max_s", "window_end_s", optional=True
+        )
         for value in ("max_radius_m", "rest_radius_m"):
             sd = value.replace("_m", "_sd_m")
             if getattr(self, value) is None and getattr(self, sd) is not None:
@@ -114,7 +116,7 @@ class Given:
             (("time_of_max_s",), math.isfinite, "seconds"),
             (sds, lambda sd: 0.0 <= sd < math.inf, "a length in m >= 0"),
         ):
-            check_fields(self, fits, f"{expected}, or None if unknown", *names)
+            check_fields(self, fits, f"{expected}, or None if unknown", *names, optional=True)
 
 
 @dataclass(frozen=True, eq=False)
