@@ -25,7 +25,6 @@ from benchmarks.real_gels import SETS, standardise
 from benchmarks.records import (
     Job,
     Line,
-    add_out,
     read_record,
     run_missing_jobs,
     start_commands,
@@ -168,10 +167,7 @@ def write_page(lines: list[Line]) -> str:
 
 def main() -> None:
     """Run or tabulate."""
-    parser, commands = start_commands(__doc__)
-    runs = commands.add_parser("run")
-    runs.add_argument("folder", type=Path)
-    add_out(runs)
+    parser, _, runs = start_commands(__doc__, "folder")
     runs.add_argument("--shots", type=int, default=3)
     args = parser.parse_args()
     if args.what == "table":

@@ -17,11 +17,12 @@ import torch
 from benchmarks.records import Line, run_missing_jobs, start_parser, write_table
 from benchmarks.solver import TIMES, draws, seconds_of
 from imr_torch import characterize, wide_prior
-from imr_torch.float64 import linspace, rand, randn, tensor
-from imr_torch.material import PARAMETERS, reference_case
-from imr_torch.observe import RadiusTrace, TraceSet
+from imr_torch.float64 import linspace, rand, tensor
+from imr_torch.material import reference_case
+from imr_torch.observe import TraceSet
+from imr_torch.random import generator
 from imr_torch.simulate import TransportSimulator
-from imr_torch.units import Surroundings
+from tests.filmed import film
 
 NOISE = 0.003
 BUBBLES = 200
@@ -30,20 +31,26 @@ UNSTATED = "density=1060"
 
 def simulate_curves(shots: int, frames: int) -> TraceSet:
     """Curves of one gel at random designs."""
-    source = torch.Generator().manual_seed(shots)
-    simulator, surroundings = TransportSimulator(), Surroundings()
-    gel = PARAMETERS.pack(reference_case("soft-pa").truth)
+    source = generator(shots)
+    gel = reference_case("soft-pa").truth
     times = linspace(0.0, 4.0, frames)
-    unit = rand(shots, 2, generator=source)
-    sizes, stretches = 150e-6 + 250e-6 * unit[:, 0], 0.16 + 0.1 * unit[:, 1]
-    traces = []
-    for number, (size, stretch) in enumerate(zip(sizes.tolist(), stretches.tolist(), strict=True)):
-        design = tensor([surroundings.weber(size), stretch])
-        radius = simulator(gel, design, times).radius
-        radius = radius + NOISE * randn(frames, generator=source)
-        seconds = times * surroundings.time_scale(size)
-        traces.append(RadiusTrace(f"shot {number}", seconds, size * radius, "simulated"))
-    return TraceSet(tuple(traces))
+    rows = tensor([150e-6, 0.16]) + tensor([250e-6, 0.1]) * rand(shots, 2, generator=source)
+    simulator = TransportSimulator()
+    return TraceSet(
+        tuple(
+            film(
+                gel,
+                size,
+                rest,
+                times,
+                source,
+                noise=NOISE,
+                name=f"shot {number}",
+                simulator=simulator,
+            )
+            for number, (size, rest) in enumerate(rows.tolist())
+        )
+    )
 
 
 def measure_cost(shots: int, frames: int) -> Line:

@@ -37,7 +37,7 @@ from benchmarks.records import Line, add_out, read_record, run_missing_jobs, sta
 from imr_torch import characterize, load_traces
 from imr_torch.assimilate import SearchOptions
 from imr_torch.characterization import medium_of
-from imr_torch.errors import ImrError, InputDataError
+from imr_torch.errors import ImrError, InputDataError, in_one_line
 from imr_torch.gap import GapReport, diagnose, examine, library, to_json
 from imr_torch.gap.held_out import judge_designs
 from imr_torch.material import wide_prior
@@ -237,8 +237,7 @@ def run_task(file: Path, task: str, most: int) -> Line:
     try:
         line |= TASKS[task](file, most, SETS[name])
     except (ImrError, RuntimeError) as error:  # torch reports a singular matrix as the latter
-        text = f"{type(error).__name__}: {error}"
-        line["error"] = text.replace(f"{file.parent}/", "")
+        line["error"] = in_one_line(error).replace(f"{file.parent}/", "")
     return line | {"cpu": time.process_time() - started}
 
 

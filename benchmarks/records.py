@@ -24,7 +24,8 @@ import torch
 from scipy.stats import binom, binomtest
 
 import imr_torch
-from imr_torch.errors import ImrError
+from imr_torch.errors import ImrError, in_one_line
+from imr_torch.files import without_nonfinite
 from imr_torch.float64 import tensor
 from imr_torch.simulate import process_pool
 
@@ -118,7 +119,7 @@ def run_missing_jobs(
         stream.write("\n" * torn)
         for number, made in enumerate(_run_jobs(missing, workers), start=1):
             line = (about or {}).get(made["key"], {}) | made
-            stream.write(json.dumps(_with_null(line), allow_nan=False) + "\n")
+            stream.write(json.dumps(without_nonfinite(line)[0], allow_nan=False) + "\n")
             stream.flush()
             brief = {k: v for k, v in made.items() if isinstance(v, str | float)}
             print(f"{number} of {len(missing)}: {brief}", flush=True)
@@ -142,16 +143,7 @@ def run_job(key: str, job: Job) -> Line:
     try:
         return line | job()
     except (ImrError, RuntimeError) as error:  # torch reports a singular matrix as the latter
-        return line | {"error": f"{type(error).__name__}: {error}"}
-
-
-def _with_null(value: Any) -> Any:
-    """A document with null in place of numbers that are not finite, for which JSON has no word."""
-    if isinstance(value, dict):
-        return {key: _with_null(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_with_null(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+        return line | {"error": in_one_line(error)}
 
 
 @dataclass(frozen=True)
@@ -244,13 +236,21 @@ def start_parser(doc: str | None) -> argparse.ArgumentParser:
     )
 
 
-def start_commands(doc: str | None) -> tuple[argparse.ArgumentParser, Any]:
-    """The same with commands (``what``), of which ``table`` has ``files``; others can be added."""
+def start_commands(
+    doc: str | None, *folders: str
+) -> tuple[argparse.ArgumentParser, Any, argparse.ArgumentParser]:
+    """The same with commands (``what``): ``run`` has folders that it reads and ``out``, ``table`` has
+    ``files``; others and more arguments can be added.
+    """
     parser = start_parser(doc)
     commands = parser.add_subparsers(dest="what", required=True)
+    runs = commands.add_parser("run", help="make the lines that a record lacks")
+    for name in folders:
+        runs.add_argument(name, type=Path)
+    add_out(runs)
     tables = commands.add_parser("table", help="score the lines of runs")
     tables.add_argument("files", nargs="+", metavar="OUT.jsonl")
-    return parser, commands
+    return parser, commands, runs
 
 
 def add_out(parser: argparse.ArgumentParser) -> None:

@@ -6,8 +6,8 @@ over repeats.
 Bubbles are drawn from the prior of the stiff-PA reference case, designs uniformly from We 100-1000
 and R_inf* .14-.30, with 81 samples of t* in [0, 4]; every call that is timed has bubbles of its
 own. Errors of the polytropic solver are against itself at a third of the step, those of the full
-physics against its `reference` setting. Beside them, in the same run, what a user would do without
-this package: torchdiffeq's dopri5 with one step for the batch, and SciPy bubble by bubble.
+physics against its `reference` setting. Beside them, in the same run, SciPy bubble by bubble; other
+solvers are those of :mod:`benchmarks.peers`.
 """
 
 import json
@@ -23,7 +23,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from torchdiffeq import odeint
 
 from benchmarks.records import start_parser
 from imr_torch.float64 import linspace, rand, tensor
@@ -31,13 +30,10 @@ from imr_torch.material import reference_case
 from imr_torch.simulate import (
     ACCURACIES,
     STEPPINGS,
-    Conditions,
     PolytropicSimulator,
     Simulator,
     TransportSimulator,
 )
-from imr_torch.simulate.bubbles import Bubbles
-from imr_torch.simulate.polytropic import head_of, rate_of, start_of
 from tests.simulate.scipy_reference import solve_by_scipy
 
 TIMES = linspace(0.0, 4.0, 81)
@@ -132,17 +128,6 @@ def compile_seconds() -> float:
     return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
 
 
-def plain_dopri5(count: int) -> Callable[[], Any]:
-    """The same bubbles by torchdiffeq with one adaptive step for the whole batch."""
-    parameters, designs = draws(count, "cpu")
-    bubbles = Bubbles.of(parameters, designs, Conditions())
-
-    def rate(_: torch.Tensor, state: torch.Tensor) -> torch.Tensor:
-        return rate_of(bubbles, head_of(bubbles, state), state)
-
-    return lambda: odeint(rate, start_of(bubbles), TIMES, method="dopri5", rtol=1e-5, atol=1e-7)
-
-
 def scipy_bdf(count: int) -> None:
     """Bubbles with transport by SciPy, one after the other."""
     parameters, designs = draws(count, "cpu")
@@ -205,10 +190,6 @@ def measure_processor(repeats: int) -> dict[str, float]:
     for count in (48, 1000):
         result[f"tensor_{count}_ms"] = milliseconds(tensors, count, 1)
     result["speedup_2_threads"] = speedup(1000, repeats)
-    try:
-        result["dopri5_48_ms"] = 1e3 * seconds_of(plain_dopri5(48), 1) / 48
-    except AssertionError as error:  # torchdiffeq's word for a step that shrank to nothing
-        print(f"plain dopri5 with one step for 48 bubbles fails: {error}")
     return result | {"scipy_bdf_full_s": seconds_of(lambda: scipy_bdf(3), 1) / 3}
 
 

@@ -15,7 +15,6 @@ sets of three shots (noise .002) all frames have the errors of `FRAMES`. What th
 
 import argparse
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -185,16 +184,14 @@ def write_page(lines: list[Line]) -> str:
 
 def main() -> None:
     """Run or tabulate."""
-    parser, commands = start_commands(__doc__)
-    runs = commands.add_parser("run")
-    runs.add_argument("out", type=Path)
+    parser, _, runs = start_commands(__doc__)
     runs.add_argument("--sets", type=int, default=40)
     runs.add_argument("--fits", type=int, default=40)
     runs.add_argument("--seed", type=int, default=53000)
     runs.add_argument("--only", default=",".join((*SHOTS, *FRAMES)))
     args = parser.parse_args()
     if args.what == "run":
-        run_missing_jobs(args.out, list_jobs(args))
+        run_missing_jobs(args.out, list_jobs(args), workers=args.workers)
     print(write_page(read_record(*(args.files if args.what == "table" else [args.out]))))
 
 

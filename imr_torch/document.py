@@ -14,7 +14,7 @@ import torch
 
 from imr_torch.errors import InputDataError
 from imr_torch.files import Document, read_json
-from imr_torch.observe import GelMedium
+from imr_torch.observe import CollapseTime, Experiment, GelMedium
 from imr_torch.units import Surroundings
 
 SCHEMA_VERSION = 1
@@ -73,6 +73,21 @@ def header(
         document["medium"] = stated.to_dict()
         document["medium_sentence"] = stated.report().splitlines()[0]
     return document
+
+
+def describe_shot(shot: Experiment | CollapseTime, surroundings: Surroundings) -> Document:
+    """Name and design of a shot, JSON-ready.
+
+    >>> from imr_torch.document import describe_shot
+    >>> from imr_torch.observe import CollapseTime
+    >>> from imr_torch.units import Surroundings
+    >>> shot = describe_shot(CollapseTime("a", (400.0, 0.2), 0.91, 0.001), Surroundings())
+    >>> shot["id"], shot["We"], shot["R_inf*"], round(shot["Rmax_m"], 6)
+    ('a', 400.0, 0.2, 0.000442)
+    """
+    weber, rest = shot.design
+    size = float(surroundings.max_radius(weber))
+    return {"id": shot.label, "We": weber, "R_inf*": rest, "Rmax_m": size}
 
 
 def is_explained(document: Document, where: str = "") -> bool | None:

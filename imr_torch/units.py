@@ -12,7 +12,7 @@ from typing import TypeVar
 
 from torch import Tensor
 
-from imr_torch.errors import InputDataError
+from imr_torch.errors import check_fields, is_positive
 
 Number = TypeVar("Number", float, Tensor)
 
@@ -43,12 +43,7 @@ class Surroundings:
     sound_speed: float = 1430.0
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not 0.0 < value < float("inf"):
-                raise InputDataError(
-                    f"Surroundings.{name} is {value}; it must be a positive finite number in SI "
-                    "units."
-                )
+        check_fields(self, is_positive, "a positive finite number in SI units")
 
     @cached_property
     def velocity_scale(self) -> float:

@@ -7,9 +7,9 @@ import torch
 from imr_torch.float64 import arange, linspace, randn
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch
-from tests.linear import NOISE, LinearSimulator, exact, prior, tensor
+from tests.linear import NHKV, NOISE, LinearSimulator, exact, tensor
 
-PART = prior(("nhkv",)).models[0]
+PART = NHKV.models[0]
 
 
 class Slow(LinearSimulator):

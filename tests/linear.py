@@ -10,6 +10,7 @@ from imr_torch.assimilate import Assimilation, SearchOptions, assimilate
 from imr_torch.float64 import arange, eye, rand, randn, zeros
 from imr_torch.material import PARAMETERS, Belief, ModelBelief, TruncatedNormal, material
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance
+from imr_torch.random import generator
 from imr_torch.simulate import Simulator
 from tests.formula import FormulaSimulator
 
@@ -106,10 +107,13 @@ def prior(models: tuple[str, ...] = MODELS, *, correlated: bool = False) -> Beli
     parts = []
     for part in belief.models:
         d = len(part.names)
-        source = torch.Generator().manual_seed(d)
+        source = generator(d)
         chol = torch.tril(0.4 * randn(d, d, generator=source), -1) + torch.eye(d) * 0.7
         parts.append(part.with_gaussian(0.3 * randn(d, generator=source), chol))
     return Belief(tuple(parts), belief.log_probabilities)
+
+
+NHKV = prior(("nhkv",))
 
 
 def experiments(
@@ -118,7 +122,7 @@ def experiments(
     """Experiments on one gel: each with its own design, number and spacing of frames, and repeats;
     last frames unequal.
     """
-    source = torch.Generator().manual_seed(seed)
+    source = generator(seed)
     truth = PARAMETERS.pack({n: tensor(MEANS[n] + 0.6 * SDS[n])[0] for n in ("G", "mu")})
     nuisance = nuisance or Nuisance()
     made = []
@@ -225,18 +229,19 @@ def exact(
     return Exact(mean[:d], covariance[:d, :d], mean[d:].reshape(count, 3), evidence)
 
 
+OPTIONS = SearchOptions(raw_samples=24)
+
+
 def fit_linear(
     batch: ExperimentBatch,
     simulator: Simulator | None = None,
-    belief: Belief | None = None,
+    belief: Belief = NHKV,
     *,
     seed: int = 1,
+    options: SearchOptions = OPTIONS,
+    **how,
 ) -> Assimilation:
     """A fit to simulated curves by the search that tests take; of one model unless said."""
     return assimilate(
-        belief or prior(("nhkv",)),
-        batch,
-        simulator or LinearSimulator(),
-        seed=seed,
-        options=SearchOptions(raw_samples=24),
+        belief, batch, simulator or LinearSimulator(), seed=seed, options=options, **how
     )

@@ -8,16 +8,10 @@ import torch
 from imr_torch.random import child, generator
 
 
-def test_that_a_child_seed_depends_on_its_path_and_not_on_what_was_drawn():
-    before = child(7, "eig", 3)
-    torch.randn(100)
-    generator(7)
-    child(7, "something else")
-    assert child(7, "eig", 3) == before
-
-
-def test_that_a_child_seed_is_the_same_in_every_process_and_version():
+def test_that_a_child_seed_is_the_same_in_every_process_and_whatever_was_drawn():
     """The first 63 bits of SHA-256 of the path: not Python's ``hash``, which is salted per process."""
+    torch.randn(100)
+    child(7, "something else")
     assert child(0) == 3456079177858693020
 
 
@@ -36,13 +30,6 @@ def test_that_different_paths_and_seeds_have_different_children():
     ]
     seeds = [child(seed, *path) for seed, path in itertools.product((0, 1, 10, 2**40), paths)]
     assert len(set(seeds)) == len(seeds)
-
-
-def test_that_a_generator_is_passed_through_and_shared():
-    source = torch.Generator().manual_seed(5)
-    assert generator(source) is source
-    first, second = (torch.randn(4, generator=generator(source)) for _ in range(2))
-    assert not torch.equal(first, second)
 
 
 def test_that_a_seed_gives_a_fresh_generator_each_time():

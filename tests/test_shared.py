@@ -18,12 +18,13 @@ from imr_torch.characterization.shared import SharedParameter, infer_shared
 from imr_torch.cli import main
 from imr_torch.errors import InputDataError
 from imr_torch.files import read_json
-from imr_torch.float64 import arange, eye, linspace, randn, tensor, zeros
-from imr_torch.material import PARAMETERS, Belief, LogNormal, Marginal, TruncatedNormal, wide_prior
-from imr_torch.observe import RadiusTrace, TraceSet
+from imr_torch.float64 import arange, eye, linspace, tensor, zeros
+from imr_torch.material import Belief, LogNormal, Marginal, TruncatedNormal, wide_prior
+from imr_torch.observe import TraceSet
 from imr_torch.random import generator
 from imr_torch.results import document_page, header
 from imr_torch.units import Surroundings
+from tests.filmed import film
 
 MODEL = "nhkv+size_drag"
 FREE = TruncatedNormal(0.0, 1e7)
@@ -245,10 +246,7 @@ def simulate_results(drags: tuple[float, ...], number: int) -> list[SavedCharact
     for place, drag in enumerate(drags):
         gel = {"G": 5e3 * 1.3**place, "mu": 0.1 / 1.2**place}
         size = 150e-6 * 1.4**place
-        design = tensor([medium.weber(size), 0.2])
-        bubble = simulator(PARAMETERS.pack(gel | {"size_drag": drag}), design, times)
-        radius = size * (bubble.radius + 0.004 * randn(len(times), generator=source))
-        trace = RadiusTrace("shot", times * medium.time_scale(size), radius, f"gel {place}")
+        trace = film(gel | {"size_drag": drag}, size, 0.2, times, source, noise=0.004)
         found = characterize(
             TraceSet((trace,)),
             prior=wide_prior(["nhkv", MODEL]),

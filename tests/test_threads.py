@@ -4,11 +4,11 @@ import pytest
 import torch
 
 from imr_torch import load_traces
-from imr_torch.assimilate import SearchOptions, assimilate
+from imr_torch.assimilate import SearchOptions
 from imr_torch.errors import InputDataError
 from imr_torch.simulate import Solution
 from imr_torch.threads import one_torch_thread
-from tests.linear import LinearSimulator, experiments, prior
+from tests.linear import LinearSimulator, experiments, fit_linear
 
 
 def test_that_a_fit_sees_one_thread_and_the_caller_its_own():
@@ -22,13 +22,7 @@ def test_that_a_fit_sees_one_thread_and_the_caller_its_own():
     before = torch.get_num_threads()
     torch.set_num_threads(2)
     try:
-        assimilate(
-            prior(("nhkv",)),
-            experiments(1),
-            Watching(),
-            seed=0,
-            options=SearchOptions(raw_samples=8, starts=2),
-        )
+        fit_linear(experiments(1), Watching(), options=SearchOptions(raw_samples=8, starts=2))
         assert (seen, torch.get_num_threads()) == ({1}, 2)
         with pytest.raises(InputDataError), one_torch_thread():
             load_traces("nowhere.csv")

@@ -5,13 +5,8 @@ or each shot has a pressure of its own.
       [--only darcy,none] [--physics resting]
   python -m benchmarks.gap.foreign table OUT.jsonl ...
 
-Truths are those of :mod:`benchmarks.gap.closures`, simulated by finer steps (``transport``: 24 + 28
-modes as well) in a process of their own, so that no fit can find their laws. ``repeats`` are three
-designs x 10 repeats whose noise is known, a fault of the camera being that of all repeats;
-``single`` are three curves of .4 times the published noise, read as a laboratory's, the noise
-inferred. The strength of an effect is moved until a refit of gel and nuisances leaves, by the true
-noise, what was drawn between 8 and 40 standard deviations (within a factor 1.3). The default
-diagnosis and what is missing are asked of each set.
+Sets are those of :mod:`benchmarks.gap.foreign_sets`. The default diagnosis and what is missing are
+asked of each.
 Kinds that are right were stated before any set was run (``EFFECTS``): a viscous interface is one of
 the contents or a stress of the gel; what a drag in the pores may be taken for, of the sample as well;
 a loss by shapes that look larger, of the contents or the camera. Every name of a library effect is
@@ -23,18 +18,25 @@ squared error over that of the base model.
 import argparse
 import math
 import time
-from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from contextlib import suppress
 from functools import partial
+from itertools import product
 
-import torch
 from torch import Tensor
 
 from benchmarks.gap import closures
-from benchmarks.gap.sets import GEL, draw_designs, draw_log_uniform
+from benchmarks.gap.foreign_sets import (
+    PATHS,
+    SHOTS,
+    SIMULATORS,
+    STARTS,
+    Truth,
+    make_foreign_set,
+    run_apart,
+)
+from benchmarks.gap.sets import GEL
 from benchmarks.gap.signals import refit
-from benchmarks.gap.single_curves import FITS, TRUTH, trace
 from benchmarks.gap.unknown import (
     OWN_KINDS,
     SCORES,
@@ -45,30 +47,13 @@ from benchmarks.gap.unknown import (
     values_of,
 )
 from benchmarks.gap.verdicts import is_named, summarise
-from benchmarks.records import (
-    Line,
-    add_out,
-    read_record,
-    run_missing_jobs,
-    start_commands,
-    write_table,
-)
+from benchmarks.records import Line, read_record, run_missing_jobs, start_commands, write_table
 from imr_torch.design import Plan
-from imr_torch.float64 import arange, ones, rand, randn, tensor, zeros
+from imr_torch.float64 import tensor, zeros
 from imr_torch.gap import GapReport, diagnose
 from imr_torch.material import LIBRARY
-from imr_torch.observe import Experiment, ExperimentBatch, Noise, TraceSet, prepare
-from imr_torch.observe.nuisance import FLOOR
 from imr_torch.random import child, generator
-from imr_torch.simulate import (
-    STEPPINGS,
-    Conditions,
-    PolytropicGas,
-    PolytropicSimulator,
-    Simulator,
-    fewer_steps,
-    process_pool,
-)
+from imr_torch.simulate import fewer_steps
 from imr_torch.unknown import Unknown, infer_unknown
 from imr_torch.unknown.next_shot import plan_shot, predict_curve
 
@@ -81,176 +66,29 @@ EFFECTS = {
     "two_times": {"material"},
 }
 """Effect -> kinds that are right."""
-PATHS = {"repeats": (10, Noise()), "single": (1, Noise(scale=0.4))}
-"""Repeats of a design, and the law of one's noise."""
 PRESSURES = ("surface_viscosity", "darcy", "two_times")
-STARTS = {
-    "surface_viscosity": 4.0,
-    "darcy": 3.0,
-    "dropped_frame": 12.0,
-    "drifting_edge": 10.0,
-    "no_sphere": 0.1,
-    "two_times": 4.0,
-    "own_drive": 0.03,
-    "none": 0.0,
-}
-"""Effects and placebos, and the strength at which a search begins."""
-RESTING = Conditions(gas=PolytropicGas(exponent=1.4, reference="rest"))
-"""Gas that comes to rest at R_inf, which is then what the end of a record shows."""
-
-
-def _polytropic(conditions: Conditions) -> tuple[Simulator, Simulator]:
-    default = PolytropicSimulator(conditions, threads=1)
-    return default, replace(default, stepping=STEPPINGS["reference"])
-
-
-SIMULATORS: dict[str, tuple[Simulator, Simulator]] = {
-    "polytropic": _polytropic(Conditions(gas=PolytropicGas())),
-    "resting": _polytropic(RESTING),
-    "transport": (FITS, TRUTH),
-}
-"""Simulators of the diagnosis and of the truth."""
-SIGNALS = (8.0, 40.0)
-SHOTS = 3
-_UNSEEN = 2
-_CLOSE = 1.3
-
-
-@dataclass(frozen=True)
-class Truth:
-    """What was filmed, the designs of the last ``_UNSEEN`` shots being kept back.
-
-    Args:
-        effect: one of ``STARTS``.
-        strength: of the effect.
-        gels: true parameters of each shot beside it, SI.
-        designs: of all shots.
-        every: samples of a frame.
-        physics: of ``SIMULATORS``.
-    """
-
-    effect: str
-    strength: float
-    gels: tuple[dict[str, float], ...]
-    designs: tuple[tuple[float, float], ...]
-    every: int
-    physics: str
-
-    @property
-    def fits(self) -> Simulator:
-        """The simulator of the diagnosis."""
-        return SIMULATORS[self.physics][0]
-
-    @property
-    def finer(self) -> Simulator:
-        """That of the truth."""
-        return SIMULATORS[self.physics][1]
-
-    def film(self, simulator: Simulator, shifts: Tensor, first: int = 0) -> Tensor:
-        """Frames without noise of as many shots as there are shifts."""
-        shots = slice(first, first + len(shifts))
-        of_shots = (self.gels[shots], self.designs[shots], shifts, self.every, simulator)
-        return _simulate(closures.film_shots, self.effect, self.strength, *of_shots)
-
-    def plan(self, repeats: int, noise: Noise) -> ExperimentBatch:
-        """The diagnosed shots before they are filmed."""
-        times = closures.STEP * arange(0.0, closures.FRAMES * closures.SAMPLES + 1.0, self.every)
-        blank = ones(repeats, len(times))
-        shots = self.designs[:SHOTS]
-        made = [Experiment(f"shot {i}", d, times, blank, FLOOR) for i, d in enumerate(shots)]
-        return ExperimentBatch(tuple(made), noise)
-
-
-_POOL: list[ProcessPoolExecutor] = []
-
-
-def _simulate(work: Callable, *given: object):
-    """Work in the process in which the closures are registered."""
-    if not _POOL:
-        _POOL.append(process_pool(1))
-    return _POOL[0].submit(work, *given).result()
-
-
-def draw_truth(
-    path: str, effect: str, physics: str, source: torch.Generator
-) -> tuple[Truth, float]:
-    """A random truth that shows as much as it should, and by how many standard deviations."""
-    repeats, noise = PATHS[path]
-    while True:
-        gel = {name: draw_log_uniform(bounds, source) for name, bounds in GEL.items()}
-        designs = tuple((w, r) for w, r in draw_designs(SHOTS + _UNSEEN, source).tolist())
-        fine = effect == "dropped_frame" and float(rand((), generator=source)) < 0.5
-        every = closures.SAMPLES // (2 if fine else 1)
-        truth = Truth(effect, 0.0, (gel,) * len(designs), designs, every, physics)
-        pulses = [_draw_pulse(source) for _ in designs]
-        target = draw_log_uniform(SIGNALS, source)
-        if effect == "none":
-            return truth, 0.0
-        strength = STARTS[effect]
-        for _ in range(8):
-            if effect == "dropped_frame":
-                strength = float(min(max(round(strength), 1), 60))
-            gels = tuple(gel | {**own, "pulse": own["pulse"] * strength} for own in pulses)
-            truth = replace(
-                truth, strength=strength, gels=gels if effect == "own_drive" else truth.gels
-            )
-            curve = truth.film(truth.fits, zeros(SHOTS, 3))
-            signal = refit(gel, curve, truth.plan(repeats, noise), truth.fits)
-            if math.isnan(signal):
-                break
-            away = target / max(signal, 1e-9)
-            if max(away, 1.0 / away) < _CLOSE and SIGNALS[0] <= signal <= SIGNALS[1]:
-                return truth, signal
-            strength *= min(max(away, 0.2), 5.0)
-
-
-def _draw_pulse(source: torch.Generator) -> dict[str, float]:
-    """A pulse of a shot's own, of about unit size and either sign."""
-    size, sign, moment, width = rand(4, generator=source).tolist()
-    amplitude = math.copysign(0.5 + size, sign - 0.5)
-    return {"pulse": amplitude, "pulse_time": 0.3 + 3.0 * moment, "pulse_width": -2.0 + width}
 
 
 def judge_set(path: str, effect: str, physics: str, number: int) -> Line:
     """Make a set, diagnose it, infer what is missing, and compare."""
     seed = child(number, "foreign", path, effect, physics)
-    source = generator(seed)
-    repeats, noise = PATHS[path]
-    while True:
-        truth, signal = draw_truth(path, effect, physics, source)
-        plan = truth.plan(repeats, noise)
-        shifts = randn(SHOTS, 3, generator=source) * plan.nuisance_sds
-        curves = truth.film(truth.finer, shifts)
-        unseen = truth.film(truth.finer, zeros(_UNSEEN, 3), SHOTS)
-        if bool(torch.isfinite(torch.cat((curves, unseen))).all()):
-            break
+    truth, experiments, unseen = make_foreign_set(path, effect, physics, generator(seed))
+    gel = {name: truth.gels[0][name] for name in GEL}
     line: Line = {
         "strength": truth.strength,
-        "signal": signal,
-        "frames": curves.shape[1],
-        "gel": {name: truth.gels[0][name] for name in GEL},
+        "signal": truth.signal,
+        "frames": len(truth.times),
+        "gel": gel,
     }
     if effect == "darcy":
         drag = LIBRARY["size_drag"]
         clean = truth.film(truth.fits, zeros(SHOTS, 3))
-        gel = truth.gels[0]
-        left = [refit(gel, clean, plan, truth.fits, rival=(drag, start)) for start in drag.starts]
-        line["beside_drag"] = min(left)
-    drawn = [
-        noise.draw(curve, shot.times, repeats, generator=source)
-        for curve, shot in zip(curves, plan.curves, strict=True)
-    ]
-    if path == "single":
-        traces = [
-            trace(shot.label, shot.times, radius[0], shot.design[0], None)
-            for shot, radius in zip(plan.curves, drawn, strict=True)
+        left = [
+            refit(gel, clean, truth.plan, truth.fits, rival=(drag, start)) for start in drag.starts
         ]
-        experiments = prepare(TraceSet(tuple(traces))).experiments
-    else:
-        experiments = tuple(replace(e, radius=r) for e, r in zip(plan.curves, drawn, strict=True))
+        line["beside_drag"] = min(left)
     started = time.process_time()
-    single = path == "single"
-    report = diagnose(experiments, estimate_noise=single, simulator=truth.fits, seed=seed)
+    report = diagnose(experiments, estimate_noise=path == "single", simulator=truth.fits, seed=seed)
     line |= {"seconds_diagnosis": time.process_time() - started}
     said = summarise(report)
     likeliest = sorted(said["posterior"] or {}, key=lambda name: -said["posterior"][name])[:4]
@@ -261,13 +99,10 @@ def judge_set(path: str, effect: str, physics: str, number: int) -> Line:
 def judge_unknown(truth: Truth, report: GapReport, unseen: Tensor) -> Line:
     """What is inferred to be missing; ``shown`` where a user would see it."""
     started = time.process_time()
-    fewer = fewer_steps(truth.fits)
-    if not report.null.certificate.usable:
-        return {"explained": None}
-    try:
-        found = infer_unknown(report.null, report.batch, fewer)
-    except RuntimeError:  # a matrix that is not positive definite
-        found = None
+    found = None
+    if report.null.certificate.usable:
+        with suppress(RuntimeError):  # a matrix that is not positive definite
+            found = infer_unknown(report.null, report.batch, fewer_steps(truth.fits))
     if found is None:
         return {"explained": None}
     line = summarise_unknown(found) | {
@@ -278,17 +113,16 @@ def judge_unknown(truth: Truth, report: GapReport, unseen: Tensor) -> Line:
     if truth.effect in PRESSURES and found.shots:
         fitted = values_of(report.null)
         given = (truth.gels[:SHOTS], truth.designs[:SHOTS], fitted, found.shots)
-        line |= _simulate(closures.compare_shots, truth.effect, truth.strength, *given)
+        line |= run_apart(closures.compare_shots, truth.effect, truth.strength, *given)
     return line
 
 
 def judge_unseen(truth: Truth, report: GapReport, found: Unknown, unseen: Tensor) -> Line:
     """Whitened squared errors on unseen designs, of the base model and of the most probable kind."""
     fewer = fewer_steps(truth.fits)
-    times = truth.plan(1, Noise()).curves[0].times
     errors = {"base": 0.0, found.kind: 0.0}
     for design, curve in zip(truth.designs[SHOTS:], unseen, strict=True):
-        plan = Plan(repeats=1, times=times)
+        plan = Plan(repeats=1, times=truth.times)
         shot = plan_shot(tensor(design), plan, report.null.prior, fewer)
         base = shot.predict(report.null.mean, zeros(3), zeros(len(shot.moments)))
         left = shot.whiten((curve - base)[None], base)[0]
@@ -302,17 +136,12 @@ def list_jobs(args: argparse.Namespace) -> tuple[dict[str, partial[Line]], dict[
     """Sets asked for, and what they are of, a few of each effect coming first."""
     jobs = {}
     about = {}
-    for number in range(args.seed, args.seed + args.sets):
-        for path in args.paths.split(","):
-            for effect in args.only.split(","):
-                key = f"{path}/{effect}/{args.physics}/{number}"
-                jobs[key] = partial(judge_set, path, effect, args.physics, number)
-                about[key] = {
-                    "path": path,
-                    "effect": effect,
-                    "physics": args.physics,
-                    "seed": number,
-                }
+    numbers = range(args.seed, args.seed + args.sets)
+    for number, path, effect in product(numbers, args.paths.split(","), args.only.split(",")):
+        own = (path, effect, args.physics, number)
+        key = "/".join(map(str, own))
+        jobs[key] = partial(judge_set, *own)
+        about[key] = dict(zip(("path", "effect", "physics", "seed"), own, strict=True))
     return jobs, about
 
 
@@ -352,9 +181,7 @@ def score_unseen(line: Line) -> float | None:
 
 def main() -> None:
     """Run or tabulate."""
-    parser, commands = start_commands(__doc__)
-    runs = commands.add_parser("run", help="simulate sets, diagnose them and compare")
-    add_out(runs)
+    parser, _, runs = start_commands(__doc__)
     runs.add_argument("--sets", type=int, default=4, help="of each effect and path")
     runs.add_argument("--seed", type=int, default=0, help="of the first set; others count up")
     runs.add_argument("--physics", choices=SIMULATORS, default="resting")
@@ -365,7 +192,7 @@ def main() -> None:
         lines = read_record(*args.files)
     else:
         jobs, about = list_jobs(args)
-        lines = run_missing_jobs(args.out, jobs, about=about)
+        lines = run_missing_jobs(args.out, jobs, about=about, workers=args.workers)
     print(write_scores(lines))
 
 

@@ -185,8 +185,8 @@ def _spread_designs() -> torch.Tensor:
 
 def main() -> None:
     """Run, tabulate, or refit rivals."""
-    parser, commands = start_commands(__doc__)
-    add_task_arguments(commands.add_parser("run", help="make and diagnose sets"))
+    parser, commands, runs = start_commands(__doc__)
+    add_task_arguments(runs)
     limits = commands.add_parser("rivals", help="could any shots tell the causes apart?")
     limits.add_argument("file", type=Path, metavar="OUT.jsonl")
     limits.add_argument("--physics", choices=PHYSICS, help="if another than that of the sets")

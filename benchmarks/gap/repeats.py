@@ -209,7 +209,6 @@ def write_scores(lines: Sequence[Line]) -> str:
 
 def add_task_arguments(parser: argparse.ArgumentParser) -> None:
     """What says which sets are made."""
-    add_out(parser)
     parser.add_argument("--sets", type=int, default=67, help="of each kind (default 67)")
     parser.add_argument("--size", default="3x10", metavar="DxR", help="designs x repeats")
     parser.add_argument("--physics", choices=PHYSICS, default="transport")
@@ -237,8 +236,7 @@ def run_tasks(
 
 def main() -> None:
     """Run or tabulate."""
-    parser, commands = start_commands(__doc__)
-    runs = commands.add_parser("run", help="make and diagnose sets")
+    parser, commands, runs = start_commands(__doc__)
     add_task_arguments(runs)
     runs.add_argument("--parts", action="store_true", help="judge shares and intervals too")
     labelled = commands.add_parser("labelled", help="diagnose sets of a separate program")

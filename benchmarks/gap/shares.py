@@ -53,7 +53,7 @@ def judge_parts(
     if not report.found or not report.selected.effects:
         return line
     line["explained"] = math.sqrt(2.0 * max(report.null.cost - _named_cost(report), 0.0))
-    line["parts"] = report.selected.parts
+    line["selected_parts"] = report.selected.parts
     unseen = replace(report.batch, experiments=tuple(further()))
     for name, judging in (("own", None), ("further", unseen)):
         line[name] = _tell(shrinkage(report, simulator, judging, seed=seed), report)
@@ -128,7 +128,9 @@ def score_parts(lines: Sequence[Line]) -> list[Figure]:
 
 def _holds_truth(line: Line) -> bool:
     """Whether what was selected is the effect that acts, and nothing beside it."""
-    return line["kind"] == "effect" and families(line["parts"]) == families(line["truth_names"])
+    return line["kind"] == "effect" and families(line["selected_parts"]) == families(
+        line["truth_names"]
+    )
 
 
 def _beyond_chance(found: Line) -> float:

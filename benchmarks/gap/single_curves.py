@@ -496,8 +496,7 @@ def _write_named(kind: str, lines: Sequence[Line]) -> str:
 
 def main() -> None:
     """Run or tabulate."""
-    parser, commands = start_commands(__doc__)
-    runs = commands.add_parser("run", help="simulate sets and diagnose them")
+    parser, commands, runs = start_commands(__doc__)
     runs.add_argument("--sets", type=int, default=275)
     runs.add_argument("--seed", type=int, default=SEED, help="other sets by another one")
     runs.add_argument("--every", type=int, default=5, help="is characterised too; 0: none")
@@ -506,8 +505,8 @@ def main() -> None:
     runs.add_argument("--fits-only", action="store_true", help="characterise, and no diagnosis")
     labelled = commands.add_parser("labelled", help="diagnose sets of a separate program")
     labelled.add_argument("folder", type=Path)
+    add_out(labelled)
     for command in (runs, labelled):
-        add_out(command)
         command.add_argument("--only", help="kinds, separated by commas")
         command.add_argument("--stated", action="store_true", help="R_inf is stated, 1 %% error")
     args = parser.parse_args()

@@ -28,7 +28,6 @@ from torch import Tensor
 from benchmarks.gap.sets import PHYSICS, Task, make_set
 from benchmarks.records import (
     Line,
-    add_out,
     read_record,
     run_missing_jobs,
     start_commands,
@@ -254,9 +253,7 @@ def write_scores(lines: list[Line]) -> str:
 
 def main() -> None:
     """Run or tabulate."""
-    parser, commands = start_commands(__doc__)
-    runs = commands.add_parser("run", help="simulate sets and infer what is missing")
-    add_out(runs)
+    parser, _, runs = start_commands(__doc__)
     runs.add_argument("--sets", type=int, default=40)
     runs.add_argument("--physics", choices=PHYSICS, default="transport")
     runs.add_argument("--seed", type=int, default=0)

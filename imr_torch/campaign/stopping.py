@@ -7,12 +7,11 @@ that gain has not been estimated.
 No rule sees an experiment that was forgotten.
 """
 
-import math
 from dataclasses import dataclass
 from typing import Protocol
 
 from imr_torch.campaign.learners import Finding
-from imr_torch.errors import InputDataError, check_at_least
+from imr_torch.errors import InputDataError, check_at_least, check_fields, is_positive
 from imr_torch.material import PARAMETERS, Belief
 from imr_torch.observe import Experiment
 
@@ -101,10 +100,7 @@ class RelativeSd:
     def __post_init__(self) -> None:
         if self.name is not None:
             PARAMETERS[self.name]
-        if not 0.0 < self.below < math.inf:
-            raise InputDataError(
-                f"RelativeSd.below is {self.below}; expected a positive number, such as 0.01."
-            )
+        check_fields(self, is_positive, "a positive number, such as 0.01", "below")
 
     def find_reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""
@@ -130,11 +126,8 @@ class _Above:
     above: float
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.above < 1.0:
-            raise InputDataError(
-                f"{type(self).__name__}.above is {self.above}; expected a probability between 0 "
-                "and 1."
-            )
+        expected = "a probability between 0 and 1"
+        check_fields(self, lambda value: 0.0 < value < 1.0, expected, "above")
 
 
 @dataclass(frozen=True)
@@ -206,10 +199,7 @@ class GainBelow:
     nats: float
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.nats < math.inf:
-            raise InputDataError(
-                f"GainBelow.nats is {self.nats}; expected a positive number of nats."
-            )
+        check_fields(self, is_positive, "a positive number of nats", "nats")
 
     def find_reason(self, state: CampaignState) -> str | None:
         """See :class:`StoppingRule`."""

@@ -22,6 +22,7 @@ from imr_torch.assimilate import (
 from imr_torch.assimilate.spikes import frames_left_out
 from imr_torch.characterization.request import EFFORTS, check_request, medium_of
 from imr_torch.characterization.result import Characterization
+from imr_torch.errors import about_experiment
 from imr_torch.gap import medium_sensitivities
 from imr_torch.goodness import check_fit, compare_parts, follow_gel
 from imr_torch.material import Belief, wide_prior
@@ -163,7 +164,11 @@ def characterize(
     )
     prepared = replace(prepared, experiments=record.weighted(prepared.experiments))
     traces = prepared.traces
-    data = (*prepared.experiments, *(shot.to_experiment(surroundings) for shot in shots))
+    collapse_times = []
+    for shot in shots:
+        with about_experiment(shot.experiment_id):
+            collapse_times.append(shot.to_experiment(surroundings))
+    data = (*prepared.experiments, *collapse_times)
     rounds = NOISE_ROUNDS if estimate_noise else 0
     spent = EFFORTS[effort]
     if isinstance(options, SearchOptions) and options.drop_behind is not None:

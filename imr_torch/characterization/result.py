@@ -16,7 +16,7 @@ from imr_torch.assimilate.dense import dense_curve
 from imr_torch.characterization.bands import band_document, find_patterns, predictive_band
 from imr_torch.characterization.request import EFFORTS, medium_document
 from imr_torch.characterization.saved import SavedCharacterization, draws_to_dict
-from imr_torch.document import header
+from imr_torch.document import describe_shot, header
 from imr_torch.files import Document, drawn_numbers, without_nonfinite, write_json
 from imr_torch.gap import MediumSensitivity
 from imr_torch.goodness import FitTest, PartsTest
@@ -163,16 +163,10 @@ class Characterization:
         shots = self.collapse_times()
         patterns = find_patterns(shots)
         motion = self.simulator.conditions.motion
+        outer = self.medium.surroundings
         return {
             "experiments": [
-                {
-                    "id": e.label,
-                    "We": e.design[0],
-                    "R_inf*": e.design[1],
-                    "Rmax_m": self.medium.surroundings.max_radius(e.design[0]),
-                    "exposure_t_star": e.exposure,
-                }
-                for e in self.experiments
+                describe_shot(e, outer) | {"exposure_t_star": e.exposure} for e in self.experiments
             ],
             "cautions": [*self.prepared.cautions, *patterns],
             **medium_document(self.medium, self.sensitivities, self.posterior.best),
@@ -328,17 +322,14 @@ class Characterization:
         document = self.to_document(command)
         return header("characterize", files=files, medium=self.medium) | document
 
-    def collapse_times(self) -> list[dict[str, object]]:
+    def collapse_times(self) -> list[Document]:
         """Each shot of which the collapse time alone is known: measured and, by the most probable
         model, predicted, over t*.
         """
         prediction = self.assimilation[self.posterior.best.model].prediction
         return [
-            {
-                "id": e.label,
-                "We": e.design[0],
-                "R_inf*": e.design[1],
-                "Rmax_m": self.medium.surroundings.max_radius(e.design[0]),
+            describe_shot(e, self.medium.surroundings)
+            | {
                 "t_star": e.time,
                 "sd": e.sd,
                 "scatter": e.scatter,

@@ -1,6 +1,5 @@
 """Runs ``imr-torch characterize``."""
 
-import re
 import shlex
 from argparse import Namespace
 from pathlib import Path
@@ -39,11 +38,12 @@ def run_command(args: Namespace) -> None:
     try:
         _characterize(args)
     except InputDataError as error:
-        named = re.findall(r"experiment '([^',]+)'", str(error))
-        chosen = {*(args.exclude or ()), *(args.experiments or ())}  # their names may be the fault
-        bad = [name for name in named if name not in chosen]
-        more = f" One of several curves can be left out: --exclude {bad[0]}" if bad else ""
-        raise InputDataError(f"{error}{more}") from None
+        name = error.experiment
+        if name is None or "," in name or name in (args.experiments or ()):
+            raise
+        raise InputDataError(
+            f"{error} One of several curves can be left out: --exclude {name}"
+        ) from None
 
 
 def _characterize(args: Namespace) -> None:

@@ -29,6 +29,7 @@ from imr_torch.goodness.score import (
     log_survival,
     make_block,
     promising_starts,
+    split_by_effect,
 )
 from imr_torch.material import Effect
 from imr_torch.observe import ExperimentBatch
@@ -135,8 +136,7 @@ def refitted_directions(
         smaller = now < left[under_way]  # not where a solve failed: NaN is not smaller
         under_way = under_way[smaller]
         rows[under_way], left[under_way] = beside[smaller], now[smaller]
-    parts = rows.split([len(effect.starts) for effect in effects])
-    return {effect.name: part for effect, part in zip(effects, parts, strict=True)}
+    return split_by_effect(rows, effects)
 
 
 def log_p_values(

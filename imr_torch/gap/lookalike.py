@@ -24,9 +24,9 @@ from imr_torch.gap.adequacy import Adequacy, log_p_values
 from imr_torch.goodness.linear import Linearisation
 from imr_torch.goodness.score import (
     ADEQUATE,
-    LEAST_LEFT,
     STATE_LAW,
     Block,
+    left_beside,
     log_survival,
     make_block,
 )
@@ -214,10 +214,6 @@ def _in_own_span(
 
 
 def _unit(rows: Tensor, line: Linearisation) -> Tensor:
-    """Unit rows of what is left beside the fitted directions.
-
-    Those of which nothing is left are dropped.
-    """
-    left = line.project_out(rows)
-    left = left[left.square().sum(1) > LEAST_LEFT * rows.square().sum(1).clamp_min(1e-300)]
+    """Unit rows of what is left beside the fitted directions."""
+    left = left_beside(rows, line)
     return left / left.norm(dim=1, keepdim=True)

@@ -122,6 +122,11 @@ def effect_directions(
     changes = [dict(zip(effect.names, start, strict=True)) for effect, start in starts]
     rows = line.whiten(predict_changed(fit, batch, simulator, changes) - line.prediction)
     rows = torch.where(torch.isfinite(rows).all(1, keepdim=True), rows, 0.0)
+    return split_by_effect(rows, effects)
+
+
+def split_by_effect(rows: Directions, effects: Sequence[Effect]) -> dict[str, Directions]:
+    """Rows of the starts of several effects, one effect after the other, by its name."""
     parts = rows.split([len(effect.starts) for effect in effects])
     return {effect.name: part for effect, part in zip(effects, parts, strict=True)}
 
@@ -172,13 +177,19 @@ def promising_starts(
     return smallest, (first * float(amplitude[other].clamp(*typical)), *shape)
 
 
+def left_beside(rows: Directions, line: Linearisation) -> Directions:
+    """What is left of whitened directions beside the fitted ones; those of which nothing is are
+    dropped.
+    """
+    left = line.project_out(rows)
+    return left[left.square().sum(1) > LEAST_LEFT * rows.square().sum(1).clamp_min(1e-300)]
+
+
 def make_block(name: str, rows: Directions, line: Linearisation, *, rank: float = 1e-3) -> Block:
     """A block from whitened directions ``k x N``: projected, then reduced to an orthonormal set,
     to which singular values below a share of ``rank`` of the largest add nothing.
     """
-    left = line.project_out(rows)
-    kept = left.square().sum(1) > LEAST_LEFT * rows.square().sum(1).clamp_min(1e-300)
-    left = left[kept]
+    left = left_beside(rows, line)
     if not len(left):
         return Block(name, line.residual.new_zeros(len(line.residual), 0))
     size = float(left.norm(dim=1).max())

@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from imr_torch.errors import InputDataError
+from imr_torch.errors import check_fields, is_positive
 from imr_torch.float64 import arange
 from imr_torch.html import render
 from imr_torch.types import BroadcastValues, ExperimentFrames, FrameMask, Frames, FrameValues
@@ -64,13 +64,8 @@ class Noise:
     widened: float = 1.0
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            positive = name in ("scale", "floor")
-            if not (0.0 <= value < math.inf) or (positive and value == 0.0):
-                raise InputDataError(
-                    f"Noise.{name} is {value}; expected a finite number "
-                    f"{'> 0' if positive else '>= 0'}."
-                )
+        check_fields(self, is_positive, "a finite number > 0", "scale", "floor")
+        check_fields(self, lambda value: 0.0 <= value < math.inf, "a finite number >= 0")
 
     def __str__(self) -> str:
         return render("noise.txt", noise=self, law=Noise(), wide=WIDE)

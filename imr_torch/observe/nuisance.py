@@ -21,7 +21,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from imr_torch.elementary import Law
-from imr_torch.errors import InputDataError
+from imr_torch.errors import check_fields
 from imr_torch.float64 import tensor
 from imr_torch.material import LIBRARY, PARAMETERS, dimensionless
 from imr_torch.material.effect import give_physics
@@ -62,11 +62,7 @@ class Nuisance:
     rest_radius: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not 0.0 <= value < 1.0:
-                raise InputDataError(
-                    f"Nuisance.{name} is {value}; expected a standard deviation in [0, 1)."
-                )
+        check_fields(self, lambda sd: 0.0 <= sd < 1.0, "a standard deviation in [0, 1)")
 
     def sds(self) -> Float[Tensor, "3"]:
         """The three standard deviations in the order of ``NUISANCES``."""

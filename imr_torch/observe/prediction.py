@@ -373,11 +373,9 @@ def _interpolate_collapses(
     weights = find_powers((places - low) / half - 1.0) @ torch.linalg.inv(find_powers(unit))
     found = (weights * times[..., None, :]).sum(-1)
 
-    def simulate_times(gels: Tensor, designs: Tensor) -> Tensor:
-        return _simulate_collapses(simulator, gels, designs, about, bundled)
-
     some = lost.any(-1) & ~lost.all(-1)
-    return _replace_times(found, some, simulate_times, parameters, designs, bundled)
+    find_times = partial(_simulate_collapses, simulator, about=about, bundled=bundled)
+    return _replace_times(found, some, find_times, parameters, designs, bundled)
 
 
 def _distinct_gels(parameters: Tensor, bundled: bool) -> tuple[Tensor, Tensor]:

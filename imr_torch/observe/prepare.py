@@ -9,7 +9,7 @@ from statistics import fmean, pstdev
 
 import torch
 
-from imr_torch.errors import InputDataError
+from imr_torch.errors import InputDataError, about_experiment
 from imr_torch.html import render
 from imr_torch.observe.convert import to_experiment
 from imr_torch.observe.experiments import Experiment
@@ -119,18 +119,19 @@ def prepare(
     for record in traces:
         name = record.experiment_id
         marks = landmarks[name]
-        cautions += check_maximum(record, marks, outer)
-        trace = _thin_dense_record(record, outer.time_scale(marks.max_radius_m), most_frames)
-        kept.append(trace)
-        if len(trace) < len(record):
-            cautions.append(
-                f"{len(trace)} of the {len(record)} frames of '{name}' are used, evenly spread: "
-                "so many more would change little."
-            )
-        whole = to_experiment(trace, marks, outer, rest_radius=rest_radius, growth=growth)
-        first = _first_collapse(whole, marks, outer)
-        cautions += check_experiment(whole, trace.where, first=first)
-        window = _cut_window(trace, whole, marks, outer, collapses)
+        with about_experiment(name):
+            cautions += check_maximum(record, marks, outer)
+            trace = _thin_dense_record(record, outer.time_scale(marks.max_radius_m), most_frames)
+            kept.append(trace)
+            if len(trace) < len(record):
+                cautions.append(
+                    f"{len(trace)} of the {len(record)} frames of '{name}' are used, evenly spread: "
+                    "so many more would change little."
+                )
+            whole = to_experiment(trace, marks, outer, rest_radius=rest_radius, growth=growth)
+            first = _first_collapse(whole, marks, outer)
+            cautions += check_experiment(whole, trace.where, first=first)
+            window = _cut_window(trace, whole, marks, outer, collapses)
         experiments.append(window)
         frames[name] = (
             len(trace),

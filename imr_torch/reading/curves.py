@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import torch
 
-from imr_torch.errors import InputDataError
+from imr_torch.errors import InputDataError, about_experiment
 from imr_torch.reading.content import Content
 from imr_torch.reading.layout import (
     KNOWN_LAYOUTS,
@@ -131,8 +131,9 @@ def curves_of(
             continue
         top_m = None if top is None else top * LENGTHS[layout.max_radius_unit]
         rest_m = None if rest is None else rest * scales.metres(layout.rest_radius_unit, top_m)
-        converted = _convert_to_si(_mark_absent(curve, layout), layout, scales, top_m, rest_m)
-        trace, dropped = _make_trace(_leave_out_peak(converted, layout), sort=sort)
+        with about_experiment(curve.experiment_id):
+            converted = _convert_to_si(_mark_absent(curve, layout), layout, scales, top_m, rest_m)
+            trace, dropped = _make_trace(_leave_out_peak(converted, layout), sort=sort)
         left_out += dropped
         traces += [] if trace is None else [trace]
     asked = [curve for curve in raw if curve.experiment_id not in exclude]

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from imr_torch.errors import InputDataError
+from imr_torch.errors import InputDataError, check_fields, is_positive
 from imr_torch.files import read_table
 from imr_torch.reading.content import Content
 
@@ -100,12 +100,15 @@ class Layout:
                 raise InputDataError(
                     f"Layout.{name} is '{getattr(self, name)}'; choose one of: {listed}."
                 )
-        for name in ("frame_interval", "pixel_size", "max_radius"):
-            value = getattr(self, name)
-            if isinstance(value, (int, float)) and not 0.0 < value < math.inf:
-                raise InputDataError(
-                    f"Layout.{name} is {value}; expected a positive number in SI units."
-                )
+        check_fields(
+            self,
+            lambda value: isinstance(value, str) or is_positive(value),
+            "a positive number in SI units",
+            "frame_interval",
+            "pixel_size",
+            "max_radius",
+            optional=True,
+        )
         if self.max_radius_entries is not None and (
             not self.max_radius_entries or min(self.max_radius_entries) < 1
         ):

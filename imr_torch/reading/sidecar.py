@@ -27,7 +27,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from imr_torch.errors import InputDataError
+from imr_torch.errors import InputDataError, about_experiment
 from imr_torch.files import Document, read_json, write_json
 from imr_torch.reading.layout import RADIUS_UNITS, TIMES, Said
 from imr_torch.reading.names import unit_of
@@ -223,7 +223,8 @@ class Sidecar:
         alone = len(traces) == 1
         new = []
         for trace in traces:
-            beside = vars(self.given(trace.experiment_id, alone=alone))
+            with about_experiment(trace.experiment_id):
+                beside = vars(self.given(trace.experiment_id, alone=alone))
             own = {name: value for name, value in vars(trace.given).items() if value is not None}
             new.append(replace(trace, given=Given(**beside | own)))
         described = [name for name in traces.ids if name in self.entries]

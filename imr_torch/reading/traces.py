@@ -7,7 +7,7 @@ everything a reader left out, and why.
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Real
 from torch import Tensor
 
-from imr_torch.errors import InputDataError
+from imr_torch.errors import InputDataError, check_fields, is_positive
 from imr_torch.html import render
 from imr_torch.reading.statement import Statement
 
@@ -24,20 +24,6 @@ RADIUS_RANGE_M = (1e-7, 1e-1)
 DURATION_RANGE_S = (1e-7, 1.0)
 MIN_SAMPLES = 5
 _IN_HEADER = " If the header of the file names the unit, correct it there."
-
-
-def _is_positive(value: float) -> bool:
-    return 0.0 < value < math.inf
-
-
-def _check_numbers(
-    of: object, names: Sequence[str], fits: Callable[[float], bool], expected: str
-) -> None:
-    """Refuse fields that are stated and do not fit."""
-    for name in names:
-        value = getattr(of, name)
-        if value is not None and not fits(value):
-            raise InputDataError(f"{type(of).__name__}.{name} is {value}; expected {expected}.")
 
 
 @dataclass(frozen=True)
@@ -71,8 +57,10 @@ class Override:
 
     def __post_init__(self) -> None:
         lengths = ("max_radius_m", "max_radius_sd_m", "rest_radius_m", "rest_radius_sd_m")
-        _check_numbers(self, lengths, _is_positive, "a positive length in m, or None")
-        _check_numbers(self, ("time_of_max_s", "window_end_s"), math.isfinite, "seconds, or None")
+        check_fields(self, is_positive, "a positive length in m, or None", *lengths, optional=True)
+        check_fields(
+            self, math.isfinite, "seconds, or None", "time_of_max_s", "window_end_s", optional=True
+        )
         for value in ("max_radius_m", "rest_radius_m"):
             sd = value.replace("_m", "_sd_m")
             if getattr(self, value) is None and getattr(self, sd) is not None:
@@ -122,13 +110,13 @@ class Given:
         lengths = ("max_radius_m", "rest_radius_m")
         sds = ("rest_radius_sd_m", "max_radius_sd_m")
         for names, fits, expected in (
-            (lengths, _is_positive, "a positive length in m"),
-            (("frame_rate_hz",), _is_positive, "frames per second, above 0"),
-            (("exposure_s",), _is_positive, "a positive duration in s"),
+            (lengths, is_positive, "a positive length in m"),
+            (("frame_rate_hz",), is_positive, "frames per second, above 0"),
+            (("exposure_s",), is_positive, "a positive duration in s"),
             (("time_of_max_s",), math.isfinite, "seconds"),
             (sds, lambda sd: 0.0 <= sd < math.inf, "a length in m >= 0"),
         ):
-            _check_numbers(self, names, fits, f"{expected}, or None if unknown")
+            check_fields(self, fits, f"{expected}, or None if unknown", *names, optional=True)
 
 
 @dataclass(frozen=True, eq=False)

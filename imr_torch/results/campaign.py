@@ -10,6 +10,7 @@ import torch
 from imr_torch.campaign import Campaign, Proposal
 from imr_torch.characterization.bands import band_document, predictive_band
 from imr_torch.design import design_document
+from imr_torch.document import describe_shot
 from imr_torch.files import Document, drawn_numbers
 from imr_torch.float64 import linspace
 from imr_torch.goodness import check_fit
@@ -120,21 +121,18 @@ def _document_curves(campaign: Campaign) -> list[Document]:
     if last.assimilation is None:
         return []
     outer = campaign.simulator.conditions.surroundings
-    shot = last.assimilation.batch.experiments
+    shots = last.assimilation.batch.experiments
     # frames do not show a collapse
-    drawn = torch.stack([linspace(float(x.times[0]), float(x.times[-1]), 400) for x in shot])
+    drawn = torch.stack([linspace(float(x.times[0]), float(x.times[-1]), 400) for x in shots])
     band = predictive_band(last.assimilation, last.belief, campaign.simulator, best, times=drawn)
     found = []
-    for e, (number, experiment) in enumerate(zip(campaign.numbers, shot, strict=True)):
-        size = float(outer.max_radius(experiment.design[0]))
+    for e, (number, experiment) in enumerate(zip(campaign.numbers, shots, strict=True)):
+        shot = describe_shot(experiment, outer)
         found.append(
-            {
+            shot
+            | {
                 "number": number,
-                "id": experiment.label,
-                "We": experiment.design[0],
-                "R_inf*": experiment.design[1],
-                "Rmax_m": size,
-                "time_scale_s": float(outer.time_scale(size)),
+                "time_scale_s": float(outer.time_scale(shot["Rmax_m"])),
                 "t_star": experiment.times.tolist(),
                 "R_star": [drawn_numbers(row) for row in experiment.radius[:12]],
                 "repeats": experiment.repeats,

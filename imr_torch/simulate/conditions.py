@@ -11,7 +11,7 @@ from functools import cached_property
 from typing import ClassVar, Literal
 
 from imr_torch.elementary import Law, Scalar, power
-from imr_torch.errors import InputDataError, check_at_least
+from imr_torch.errors import InputDataError, check_at_least, check_fields, is_positive
 from imr_torch.simulate.driving import TabulatedDriving
 from imr_torch.simulate.radial import KellerMiksis, RadialEquation
 from imr_torch.units import Surroundings
@@ -93,11 +93,8 @@ class PolytropicGas:
     vapour: bool = True
 
     def __post_init__(self) -> None:
-        if not 1.0 <= self.exponent <= 5.0 / 3.0:
-            raise InputDataError(
-                f"PolytropicGas.exponent is {self.exponent}; expected 1 (isothermal) to 5/3 "
-                "(monatomic adiabatic)."
-            )
+        expected = "1 (isothermal) to 5/3 (monatomic adiabatic)"
+        check_fields(self, lambda value: 1.0 <= value <= 5.0 / 3.0, expected, "exponent")
         _require_choice(self, "reference", ("maximum", "rest"))
 
 
@@ -122,11 +119,8 @@ class Stepping:
     retries: int = 3
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.step <= 0.5:
-            raise InputDataError(
-                f"Stepping.step is {self.step}; expected above 0 and at most 0.5 (0.15 is the "
-                "default)."
-            )
+        expected = "above 0 and at most 0.5 (0.15 is the default)"
+        check_fields(self, lambda step: 0.0 < step <= 0.5, expected, "step")
         check_at_least(self, 1, "max_steps")
         check_at_least(self, 0, "retries")
 
@@ -176,14 +170,10 @@ class GasMixture:
 
     def __post_init__(self) -> None:
         _require_choice(self, "vapour", ("transported", "constant", "frozen", "absent"))
-        if not 1.0 < self.heat_ratio <= 5.0 / 3.0:
-            raise InputDataError(
-                f"GasMixture.heat_ratio is {self.heat_ratio}; expected above 1 and at most 5/3."
-            )
-        _require_positive(
-            self,
-            "conductivity_slope conductivity_offset diffusivity gas_constant vapour_mass air_mass",
-        )
+        expected = "above 1 and at most 5/3"
+        check_fields(self, lambda ratio: 1.0 < ratio <= 5.0 / 3.0, expected, "heat_ratio")
+        numbers = [name for name in vars(self) if name not in ("vapour", "heat_ratio")]
+        check_fields(self, is_positive, "a positive finite number in SI units", *numbers)
 
 
 @dataclass(frozen=True)
@@ -214,7 +204,8 @@ class Medium:
 
     def __post_init__(self) -> None:
         _require_choice(self, "capacity_of", ("medium", "gas_wall"))
-        _require_positive(self, "conductivity heat_capacity latent_heat")
+        numbers = ("conductivity", "heat_capacity", "latent_heat")
+        check_fields(self, is_positive, "a positive finite number in SI units", *numbers)
 
 
 def _require_choice(options: object, name: str, known: tuple[str, ...]) -> None:
@@ -223,16 +214,6 @@ def _require_choice(options: object, name: str, known: tuple[str, ...]) -> None:
         raise InputDataError(
             f"{type(options).__name__}.{name} is {value!r}; expected one of {', '.join(known)}."
         )
-
-
-def _require_positive(options: object, names: str) -> None:
-    for name in names.split():
-        if not 0.0 < getattr(options, name) < math.inf:
-            kind = type(options).__name__
-            raise InputDataError(
-                f"{kind}.{name} is {getattr(options, name)}; it must be a positive finite number "
-                "in SI units."
-            )
 
 
 @dataclass(frozen=True)
@@ -273,11 +254,7 @@ class Conditions:
                 f"Conditions.motion is {self.motion!r}; expected a RadialEquation, see "
                 "RADIAL_EQUATIONS."
             )
-        if not math.isfinite(self.initial_velocity):
-            raise InputDataError(
-                f"Conditions.initial_velocity is {self.initial_velocity}; it must be finite, in "
-                "m/s."
-            )
+        check_fields(self, math.isfinite, "a finite number, in m/s", "initial_velocity")
 
     @cached_property
     def saturation(self) -> float:

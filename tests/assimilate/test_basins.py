@@ -9,14 +9,14 @@ import torch
 from torch import Tensor
 from torch.testing import assert_close
 
-from imr_torch.assimilate import Point, Posterior, SearchOptions, WeighingOptions, assimilate, weigh
+from imr_torch.assimilate import Point, Posterior, SearchOptions, WeighingOptions, weigh
 from imr_torch.assimilate.basins import deeper_nuisances, other_basins
 from imr_torch.float64 import linspace, ones, tensor, zeros
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, predict
 from imr_torch.simulate import EARLIEST
 from tests.formula import FormulaSimulator
-from tests.linear import BOTH, MEANS, NOISE, SDS, experiments, prior
+from tests.linear import BOTH, MEANS, NHKV, NOISE, SDS, experiments, fit_linear, prior
 
 PERIOD = 0.3  # 1.5 prior standard deviations of time zero
 
@@ -73,7 +73,7 @@ def deepest(
     nuisances: Tensor, batch: ExperimentBatch, simulator: WavySimulator | None = None
 ) -> Tensor:
     """At the prior's mean gel."""
-    posterior = Posterior(prior(("nhkv",)).models[0], batch, simulator or WavySimulator())
+    posterior = Posterior(NHKV.models[0], batch, simulator or WavySimulator())
     return deeper_nuisances(posterior, Point(zeros(len(nuisances), 2), nuisances))
 
 
@@ -115,11 +115,10 @@ def test_that_a_model_far_behind_a_narrower_one_takes_its_nuisances():
     batch = without_noise(plan.experiments, clean, NOISE)
 
     def cost_of_wider(rounds: int) -> float:
-        fits = assimilate(
-            prior(("newtonian", "nhkv")),
+        fits = fit_linear(
             batch,
             WavySimulator(),
-            seed=0,
+            prior(("newtonian", "nhkv")),
             options=SearchOptions(starts=2, drop_behind=1.0, basin_rounds=rounds),
             starts=STARTS,
             nuisances=[TRUTH.expand(2, -1, -1), off([1.0, 0.0, -1.0]).expand(2, -1, -1)],
@@ -147,8 +146,8 @@ def test_that_draws_know_further_basins_and_integrate_over_them():
     blanks = (blank, sure)  # the clock of the second is known
     curves = predict(simulator, mean, ExperimentBatch(blanks))
     batch = without_noise(blanks, curves, LOUD)
-    fits = assimilate(
-        belief, batch, simulator, seed=0, options=SearchOptions(starts=2, raw_samples=16)
+    fits = fit_linear(
+        batch, simulator, belief, seed=0, options=SearchOptions(starts=2, raw_samples=16)
     )
     posterior = Posterior(belief.models[0], batch, simulator)
     assert other_basins(fits.fits[0], posterior, within=5.0)
@@ -193,11 +192,10 @@ def test_that_a_search_ends_in_the_deepest_basin_wherever_it_began(drop_behind):
 
     def fit(periods: list[float], rounds: int = 3):
         nuisances = [off(periods)] * 2
-        return assimilate(
-            belief,
+        return fit_linear(
             batch,
             WavySimulator(),
-            seed=0,
+            belief,
             options=replace(options, basin_rounds=rounds),
             starts=STARTS,
             nuisances=nuisances,

@@ -11,7 +11,7 @@ from imr_torch.assimilate import (
 )
 from imr_torch.float64 import eye, full, zeros
 from imr_torch.observe import ExperimentBatch, predict
-from tests.linear import BOTH, CORRELATED, NOISE, LinearSimulator, experiments, prior
+from tests.linear import BOTH, CORRELATED, NHKV, NOISE, LinearSimulator, experiments
 
 
 def closed_form(parameters, batch: ExperimentBatch, simulator):
@@ -40,7 +40,7 @@ def closed_form(parameters, batch: ExperimentBatch, simulator):
 def test_that_one_step_is_exact_where_nuisances_are_linear(noise, start, fitted):
     batch = experiments(3, nuisance=BOTH, noise=noise)
     simulator = LinearSimulator()
-    part = prior(("nhkv",)).models[0]
+    part = NHKV.models[0]
     gels = part.controls(4, seed=0)
     guess = full((4, 3, 3), start) * (batch.nuisance_sds > 0.0)
     posterior = Posterior(part, batch, simulator)

@@ -12,7 +12,7 @@ from imr_torch.assimilate import (
     assimilate_en4dvar,
     weigh,
 )
-from imr_torch.errors import ConvergenceError, InputDataError
+from imr_torch.errors import ConvergenceError
 from imr_torch.float64 import linspace, rand, randn
 from imr_torch.material import Belief, reference_case
 from imr_torch.observe import ExperimentBatch, Noise, Nuisance, SimulatedLaboratory
@@ -22,6 +22,7 @@ from tests.linear import (
     BOTH,
     CORRELATED,
     MEANS,
+    NHKV,
     SDS,
     LinearSimulator,
     exact,
@@ -29,6 +30,7 @@ from tests.linear import (
     prior,
     tensor,
 )
+from tests.refusals import refusals
 
 BATCHES = {
     "certain": experiments(3),
@@ -55,7 +57,7 @@ def test_that_the_posterior_of_a_linear_simulator_is_exact(batch, members):
 
 
 def test_that_members_that_fail_leave_the_answer_and_too_many_are_an_error():
-    belief = prior(("nhkv",))
+    belief = NHKV
     batch = experiments(3)
     truth = exact(belief.models[0], batch)
     limit = MEANS["G"] + SDS["G"] * (float(truth.mean[0]) + 2.0)
@@ -94,21 +96,21 @@ def test_that_its_posterior_agrees_with_the_default_once_weighted(number):
     assert bool(((other.chol.norm(dim=1) / sds - 1.0).abs() < 0.25).all())
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"members": 7}, r"En4DVarOptions.members is 7; expected an even number of at least 8"),
-        ({"iterations": 0}, r"En4DVarOptions.iterations is 0; expected at least 1"),
-        ({"relaxation": 1.5}, r"En4DVarOptions.relaxation is 1.5; expected a share in \[0, 1\]"),
-    ],
+test_that_bad_options_are_named = refusals(
+    (
+        lambda: En4DVarOptions(members=7),
+        r"En4DVarOptions.members is 7; expected an even number of at least 8",
+    ),
+    (lambda: En4DVarOptions(iterations=0), r"En4DVarOptions.iterations is 0; expected at least 1"),
+    (
+        lambda: En4DVarOptions(relaxation=1.5),
+        r"En4DVarOptions.relaxation is 1.5; expected a share in \[0, 1\]",
+    ),
 )
-def test_that_bad_options_are_named(changes, message):
-    with pytest.raises(InputDataError, match=message):
-        En4DVarOptions(**changes)
 
 
 def test_that_a_search_from_an_earlier_fit_stays_there():
-    belief = prior(("nhkv",))
+    belief = NHKV
     batch = experiments(3, nuisance=BOTH)
     first = assimilate_en4dvar(belief, batch, LinearSimulator(), seed=0)
     again = assimilate_en4dvar(belief, batch, LinearSimulator(), seed=1, near=first)

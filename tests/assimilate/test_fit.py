@@ -5,10 +5,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from imr_torch.assimilate import Assimilation, SearchOptions, assimilate
+from imr_torch.assimilate import Assimilation, SearchOptions
 from imr_torch.errors import InputDataError
 from imr_torch.observe import ExperimentBatch, Noise, Nuisance
-from tests.linear import LinearSimulator, experiments, prior
+from tests.linear import NHKV, LinearSimulator, experiments, fit_linear
 
 BATCH = experiments(3, nuisance=Nuisance(time_zero=0.2, rest_radius=0.3))
 SIMULATOR = LinearSimulator()
@@ -17,7 +17,7 @@ SIMULATOR = LinearSimulator()
 @pytest.fixture(scope="module")
 def fit():
     options = SearchOptions(raw_samples=24, starts=2)
-    return assimilate(prior(("nhkv",)), BATCH, SIMULATOR, seed=1, options=options).fits[0]
+    return fit_linear(BATCH, SIMULATOR, options=options).fits[0]
 
 
 def _count(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
@@ -54,7 +54,7 @@ def test_that_other_points_frames_and_simulators_are_simulated(fit, monkeypatch)
 
 
 def test_that_an_unknown_model_is_named_with_those_that_there_are(fit):
-    fits = Assimilation(prior(("nhkv",)), BATCH, (fit,))
+    fits = Assimilation(NHKV, BATCH, (fit,))
     assert fits["nhkv"] is fit
     with pytest.raises(InputDataError, match=r"'gen_qkv' is not part .* holds nhkv"):
         fits["gen_qkv"]

@@ -171,7 +171,7 @@ def test_that_the_error_of_an_evidence_whose_draws_are_not_reliable_covers_it(va
     within = []
     plain = []
     for seed in range(60):
-        source = torch.Generator().manual_seed(seed)
+        source = generator(seed)
         draws = math.sqrt(variance) * randn(count, size, generator=source)
         log_target = -0.5 * (draws.square() + math.log(2.0 * math.pi)).sum(1)
         log_proposal = -0.5 * (draws.square() / variance + math.log(2.0 * math.pi * variance)).sum(

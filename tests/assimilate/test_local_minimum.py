@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import Point, Posterior, SearchOptions, assimilate
+from imr_torch.assimilate import Point, Posterior, SearchOptions
 from imr_torch.assimilate.local_minimum import _FrozenCost, descend_from
 from imr_torch.assimilate.multistart import ModelSearch
 from imr_torch.float64 import linspace, zeros
@@ -22,7 +22,7 @@ from imr_torch.observe import (
 )
 from imr_torch.random import generator
 from imr_torch.simulate import Simulator, Solution, TransportSimulator
-from tests.linear import MEANS, SDS, LinearSimulator, prior, tensor
+from tests.linear import MEANS, NHKV, SDS, LinearSimulator, fit_linear, tensor
 
 NOISE = Noise(floor=0.002, slope=0.0, drift=0.0)
 TIMES = linspace(0.0, 3.0, 24)
@@ -82,15 +82,8 @@ def nearly_central(nuisance: Nuisance | None = None) -> ExperimentBatch:
 
 
 def fitted(simulator: Simulator, nuisance: Nuisance | None = None):
-    return assimilate(
-        prior(("nhkv",)),
-        nearly_central(nuisance),
-        simulator,
-        seed=1,
-        options=SearchOptions(raw_samples=24),
-        starts=[STARTS],
-        warn=False,
-    ).fits[0]
+    batch = nearly_central(nuisance)
+    return fit_linear(batch, simulator, starts=[STARTS], warn=False).fits[0]
 
 
 @pytest.mark.parametrize("nuisance", [None, Nuisance(time_zero=0.05)], ids=["certain", "uncertain"])
@@ -110,7 +103,7 @@ def test_that_a_fit_arrives_where_bubbles_fail_by_the_steps_of_a_leader_far_away
 
 
 def test_that_a_minimum_is_one_under_the_solver_steps_of_the_leader_and_under_no_others():
-    posterior = Posterior(prior(("nhkv",)).models[0], nearly_central(), Rough())
+    posterior = Posterior(NHKV.models[0], nearly_central(), Rough())
     start = Point(STARTS[0], posterior.mean_nuisances())
     search = ModelSearch(posterior, [start], SearchOptions(), False, generator(0))
     search.approach_first()
@@ -128,7 +121,7 @@ def test_that_a_minimum_is_one_under_the_solver_steps_of_the_leader_and_under_no
 def barred() -> Posterior:
     """Of gels that fail from nearly half of the way to the minimum on."""
     simulator = Circle(limit={"mu": MEANS["mu"] + 0.8 * SDS["mu"]})
-    return Posterior(prior(("nhkv",)).models[0], nearly_central(), simulator)
+    return Posterior(NHKV.models[0], nearly_central(), simulator)
 
 
 def test_that_a_point_where_bubbles_fail_is_not_taken():

@@ -17,7 +17,7 @@ from imr_torch.assimilate import (
     SearchOptions,
     assimilate,
 )
-from imr_torch.errors import ConvergenceError, ConvergenceWarning, InputDataError, ShapeError
+from imr_torch.errors import ConvergenceError, ConvergenceWarning, ShapeError
 from imr_torch.float64 import full, linspace, zeros
 from imr_torch.material import PARAMETERS, Belief, TruncatedNormal
 from imr_torch.observe import ExperimentBatch, Noise, Nuisance, SimulatedLaboratory, predict
@@ -28,31 +28,19 @@ from tests.linear import (
     CLOCK,
     CORRELATED,
     MEANS,
+    NHKV,
     NOISE,
+    OPTIONS,
     SDS,
     Exact,
     LinearSimulator,
     exact,
     experiments,
+    fit_linear,
     prior,
     tensor,
 )
-
-OPTIONS = SearchOptions(raw_samples=24)
-
-
-def fitted(
-    belief: Belief,
-    batch: ExperimentBatch,
-    simulator=None,
-    *,
-    seed: int = 1,
-    options: SearchOptions = OPTIONS,
-    **how,
-):
-    return assimilate(
-        belief, batch, simulator or LinearSimulator(), seed=seed, options=options, **how
-    )
+from tests.refusals import refusals
 
 
 def assert_exact(fit: ModelFit, truth: Exact, *, atol: float = 3e-7) -> None:
@@ -67,7 +55,7 @@ def assert_exact(fit: ModelFit, truth: Exact, *, atol: float = 3e-7) -> None:
 @pytest.mark.parametrize("batch", BATCHES.values(), ids=BATCHES.keys())
 def test_that_the_posterior_of_a_linear_simulator_is_exact(batch, correlated):
     belief = prior(correlated=correlated)
-    result = fitted(belief, batch)
+    result = fit_linear(batch, belief=belief)
     assert result.converged
     for part, fit in zip(belief.models, result.fits, strict=True):
         assert_exact(fit, exact(part, batch))
@@ -78,8 +66,8 @@ def test_that_the_experiments_own_clock_errors_differ():
     certain = experiments(2).experiments
     uncertain = experiments(1, nuisance=BOTH, seed=4).experiments
     batch = ExperimentBatch((certain[0], uncertain[0], certain[1]), NOISE)
-    fit = fitted(prior(("nhkv",)), batch).fits[0]
-    assert_exact(fit, exact(prior(("nhkv",)).models[0], batch))
+    fit = fit_linear(batch).fits[0]
+    assert_exact(fit, exact(NHKV.models[0], batch))
     assert float(fit.nuisances[[0, 2]].abs().max()) == 0.0
     assert float(fit.nuisances[1].abs().max()) > 0.01
 
@@ -88,7 +76,7 @@ def test_that_the_posterior_in_physical_units_is_the_exact_one():
     belief = prior(("nhkv",), correlated=True)
     batch = experiments(3)
     part = belief.models[0]
-    posterior = fitted(belief, batch).fits[0].posterior
+    posterior = fit_linear(batch, belief=belief).fits[0].posterior
     truth = exact(part, batch)
     factor = torch.diag(tensor(SDS["G"], SDS["mu"])) @ part.chol
     means = (
@@ -106,9 +94,8 @@ def test_that_the_posterior_in_physical_units_is_the_exact_one():
 
 
 def test_that_a_search_that_begins_at_the_answer_with_its_nuisances_stays_there():
-    belief = prior(("nhkv",))
     batch = experiments(3, nuisance=BOTH)
-    fit = fitted(belief, batch).fits[0]
+    fit = fit_linear(batch).fits[0]
     assert float(fit.nuisances.abs().max()) > 0.1
     said: dict[bool, list[str]] = {True: [], False: []}
     for known, lines in said.items():
@@ -116,7 +103,7 @@ def test_that_a_search_that_begins_at_the_answer_with_its_nuisances_stays_there(
             "starts": [torch.stack((fit.mean, fit.mean))],
             "nuisances": [fit.nuisances] if known else None,
         }
-        again = fitted(belief, batch, seed=2, progress=lines.append, **begin).fits[0]
+        again = fit_linear(batch, seed=2, progress=lines.append, **begin).fits[0]
         assert again.cost == pytest.approx(fit.cost, abs=1e-6)
     gradient = {known: float(lines[0].split()[-1]) for known, lines in said.items()}
     assert gradient[True] < 1e-3 < 0.1 < gradient[False]
@@ -124,12 +111,11 @@ def test_that_a_search_that_begins_at_the_answer_with_its_nuisances_stays_there(
 
 @pytest.mark.parametrize("drop_behind", [None, 6.0])
 def test_that_a_single_start_reaches_the_minimum_and_is_not_certified(drop_behind):
-    belief = prior(("nhkv",))
     batch = experiments(3, nuisance=BOTH)
     options = replace(OPTIONS, drop_behind=drop_behind)
-    starts = [full((1, len(belief.models[0].names)), 0.5)]
-    fit = fitted(belief, batch, seed=2, options=options, starts=starts, warn=False).fits[0]
-    assert fit.cost == pytest.approx(fitted(belief, batch).fits[0].cost, abs=1e-6)
+    starts = [full((1, 2), 0.5)]
+    fit = fit_linear(batch, seed=2, options=options, starts=starts, warn=False).fits[0]
+    assert fit.cost == pytest.approx(fit_linear(batch).fits[0].cost, abs=1e-6)
     assert fit.certificate.gradient < options.gradient
     assert fit.certificate.agreement == math.inf
     assert not fit.certificate.converged
@@ -137,7 +123,7 @@ def test_that_a_single_start_reaches_the_minimum_and_is_not_certified(drop_behin
 
 def test_that_no_start_at_all_is_refused():
     with pytest.raises(ShapeError, match="a row or more"):
-        fitted(prior(("nhkv",)), experiments(1), starts=[zeros(0, 2)])
+        fit_linear(experiments(1), starts=[zeros(0, 2)])
 
 
 def test_that_repeats_count_as_often_as_they_were_made():
@@ -145,16 +131,14 @@ def test_that_repeats_count_as_often_as_they_were_made():
     batch = experiments(3, noise=CORRELATED)
     singles = tuple(replace(e, radius=curve[None]) for e in batch.experiments for curve in e.radius)
     assert len(singles) > len(batch.experiments)
-    one, other = (
-        fitted(prior(("nhkv",)), b).fits[0] for b in (batch, ExperimentBatch(singles, CORRELATED))
-    )
+    one, other = (fit_linear(b).fits[0] for b in (batch, ExperimentBatch(singles, CORRELATED)))
     assert_close(one.mean, other.mean, rtol=0.0, atol=1e-7)
     assert_close(one.chol, other.chol, rtol=1e-6, atol=1e-9)
 
 
 def test_that_the_cost_is_that_of_the_joint_density():
     batch = experiments(3, nuisance=BOTH)
-    fit = fitted(prior(("nhkv",)), batch).fits[0]
+    fit = fit_linear(batch).fits[0]
     prediction = predict(
         LinearSimulator(), fit.parameters(fit.mean), batch, fit.nuisances * batch.nuisance_sds
     )
@@ -165,7 +149,7 @@ def test_that_the_cost_is_that_of_the_joint_density():
     assert fit.cost == pytest.approx(float(expected), rel=1e-12)
     assert_close(torch.where(batch.mask, prediction, 0.0), fit.prediction)
     assert fit_rmse(batch, prediction) == pytest.approx(
-        float(Assimilation(prior(("nhkv",)), batch, (fit,)).rmse("nhkv"))
+        float(Assimilation(NHKV, batch, (fit,)).rmse("nhkv"))
     )
 
 
@@ -205,14 +189,13 @@ class JitterySimulator(LinearSimulator):
 
 
 def test_that_an_integration_error_that_jumps_does_not_keep_a_fit_from_converging():
-    belief = prior(("nhkv",))
     batch = experiments(3, nuisance=CLOCK)
-    fit = fitted(belief, batch, JitterySimulator()).fits[0]
+    fit = fit_linear(batch, JitterySimulator()).fits[0]
     assert fit.certificate.converged
     assert fit.certificate.agreement < 1e-6
-    truth = exact(belief.models[0], batch)
+    truth = exact(NHKV.models[0], batch)
     assert float(((fit.mean - truth.mean).abs() / truth.covariance.diagonal().sqrt()).max()) < 0.1
-    alone = fitted(belief, batch, JitterySimulator(lock_step=False)).fits[
+    alone = fit_linear(batch, JitterySimulator(lock_step=False)).fits[
         0
     ]  # differences of the error, divided by their step
     assert float(alone.chol.diagonal().prod()) < 1e-3 * float(truth.covariance.det().sqrt())
@@ -240,7 +223,7 @@ def test_that_among_models_the_other_starts_of_a_model_with_several_minima_follo
 
     def cost(starts: Tensor, *, sifted: int | None = None) -> float:
         options = SearchOptions(drop_behind=0.1, descent=DescentOptions(sifted=sifted))
-        found = fitted(belief, batch, WavySimulator(), options=options, starts=[good, starts])
+        found = fit_linear(batch, WavySimulator(), belief, options=options, starts=[good, starts])
         assert (
             found["gen_qkv"].cost - found["nhkv"].cost > 0.1
         )  # further behind than a second start may lag
@@ -259,7 +242,7 @@ def test_that_among_models_the_other_starts_of_a_model_with_several_minima_follo
 def test_that_a_fit_that_converged_says_so_and_does_not_warn():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        result = fitted(prior(), experiments(3))
+        result = fit_linear(experiments(3), belief=prior())
     assert result.converged
     for fit in result.fits:
         assert fit.certificate.gradient < OPTIONS.gradient
@@ -271,14 +254,14 @@ def test_that_a_fit_that_converged_says_so_and_does_not_warn():
 def test_that_a_fit_that_was_cut_short_warns_and_says_so():
     short = replace(OPTIONS, iterations=1)
     with pytest.warns(ConvergenceWarning, match=r"NHKV: NOT CONVERGED \(gradient") as caught:
-        result = fitted(prior(("nhkv",)), experiments(3), WavySimulator(), options=short)
+        result = assimilate(NHKV, experiments(3), WavySimulator(), seed=1, options=short)
     assert not result.converged
     assert caught[0].filename == __file__  # where assimilate was called
     assert result.fits[0].certificate.iterations == 1
     assert result.fits[0].certificate.gradient > OPTIONS.gradient
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # a caller who reads certificates is not warned
-        fitted(prior(("nhkv",)), experiments(3), WavySimulator(), options=short, warn=False)
+        fit_linear(experiments(3), WavySimulator(), options=short, warn=False)
 
 
 def test_that_a_simulator_that_always_fails_is_a_convergence_error():
@@ -286,23 +269,17 @@ def test_that_a_simulator_that_always_fails_is_a_convergence_error():
         ConvergenceError,
         match=r"nhkv: 0 of 24 prior draws could be simulated; check units and bounds",
     ):
-        fitted(prior(("nhkv",)), experiments(2), LinearSimulator(fails=True))
+        fit_linear(experiments(2), LinearSimulator(fails=True))
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        (
-            {"basin_rounds": -1},
-            r"SearchOptions.basin_rounds is -1; expected at least 0",
-        ),
-        ({"starts": 5, "raw_samples": 4}, r"2 <= starts <= raw_samples, got 5 and 4"),
-        ({"iterations": 0}, r"SearchOptions.iterations is 0; expected at least 1"),
-    ],
+test_that_bad_options_are_named = refusals(
+    (
+        lambda: SearchOptions(basin_rounds=-1),
+        r"SearchOptions.basin_rounds is -1; expected at least 0",
+    ),
+    (lambda: SearchOptions(starts=5, raw_samples=4), r"2 <= starts <= raw_samples, got 5 and 4"),
+    (lambda: SearchOptions(iterations=0), r"SearchOptions.iterations is 0; expected at least 1"),
 )
-def test_that_bad_options_are_named(changes, message):
-    with pytest.raises(InputDataError, match=message):
-        SearchOptions(**changes)
 
 
 # ---------------------------------------------------------------- the real simulator
@@ -338,8 +315,8 @@ def bubbles():
     return (
         truth,
         batch,
-        fitted(
-            belief, batch, PolytropicSimulator(), options=SearchOptions(raw_samples=32, starts=2)
+        fit_linear(
+            batch, PolytropicSimulator(), belief, options=SearchOptions(raw_samples=32, starts=2)
         ).fits[0],
     )
 
@@ -394,7 +371,7 @@ def test_that_the_stated_covariance_is_the_curvature_of_the_exact_cost(bubbles):
 def test_that_a_stalled_fit_matters_only_if_it_could_still_be_in_the_running(
     gradient, agreement, behind, converged
 ):
-    result = fitted(prior(("newtonian", "nhkv")), experiments(2), LinearSimulator())
+    result = fit_linear(experiments(2), belief=prior(("newtonian", "nhkv")))
     first, second = result.fits
     certificate = replace(
         second.certificate, gradient=gradient, agreement=agreement, converged=False
@@ -416,10 +393,9 @@ class TearingSimulator(LinearSimulator):
 
 
 def test_that_a_chain_whose_bubbles_cannot_be_simulated_any_more_ends_and_not_the_search():
-    belief = prior(("nhkv",))
     batch = experiments(3)
     starts = [tensor((0.3, 0.0), (0.2, 0.1), (1.5, 0.5))]
-    found = assimilate(belief, batch, TearingSimulator(), seed=1, starts=starts).fits[0]
-    truth = exact(belief.models[0], batch)
+    found = fit_linear(batch, TearingSimulator(), options=SearchOptions(), starts=starts).fits[0]
+    truth = exact(NHKV.models[0], batch)
     assert found.certificate.converged
     assert float(((found.mean - truth.mean).abs() / truth.covariance.diagonal().sqrt()).max()) < 0.1

@@ -9,13 +9,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import Point, Posterior, SearchOptions, assimilate, starts
+from imr_torch.assimilate import Point, Posterior, SearchOptions, starts
 from imr_torch.float64 import arange, linspace, randn, zeros
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise
 from imr_torch.random import generator
 from tests.formula import FormulaSimulator
-from tests.linear import MEANS, SDS, prior, tensor
+from tests.linear import MEANS, NHKV, SDS, fit_linear, tensor
 
 TIMES = linspace(0.0, 1.8, 10)
 NOISE = Noise(floor=0.003, slope=0.0, drift=0.0)
@@ -51,9 +51,7 @@ def wrong_minima() -> int:
         data = radius + NOISE.floor * randn(1, len(TIMES), generator=noise)
         batch = ExperimentBatch((Experiment("cusp", (500.0, 0.2), TIMES, data),), NOISE)
         options = SearchOptions(raw_samples=2, starts=2)
-        fit = assimilate(
-            prior(("nhkv",)), batch, CuspedSimulator(), seed=seed, options=options
-        ).fits[0]
+        fit = fit_linear(batch, CuspedSimulator(), seed=seed, options=options).fits[0]
         wrong += bool(((fit.mean - truth).abs() > 5.0 * torch.linalg.norm(fit.chol, dim=1)).any())
     return wrong
 
@@ -103,15 +101,7 @@ def test_that_the_way_without_collapses_ends_where_it_cannot_come_near_a_known_f
         simulator = CountingSimulator()
         options = SearchOptions(starts=2, drop_behind=6.0, rival=rival, mask_collapses=True)
         begin = [tensor((2.5, -2.0), (2.4, -2.0)) if beside else tensor((-2.5, 2.0), (2.5, -2.0))]
-        fit = assimilate(
-            prior(("nhkv",)),
-            batch,
-            simulator,
-            seed=0,
-            options=options,
-            starts=begin,
-            warn=False,
-        ).fits[0]
+        fit = fit_linear(batch, simulator, options=options, starts=begin, warn=False).fits[0]
         return fit.cost, sum(simulator.calls)
 
     free, all_calls = search(math.inf)
@@ -127,7 +117,7 @@ def test_that_the_way_without_collapses_ends_where_it_cannot_come_near_a_known_f
 def test_that_no_gel_costs_less_than_a_prediction_that_meets_every_frame():
     data = CuspedSimulator()(PARAMETERS.pack(MEANS), tensor(500.0, 0.2), TIMES).radius[None]
     batch = ExperimentBatch((Experiment("cusp", (500.0, 0.2), TIMES, data),), NOISE)
-    posterior = Posterior(prior(("nhkv",)).models[0], batch, CuspedSimulator())
+    posterior = Posterior(NHKV.models[0], batch, CuspedSimulator())
     gels = torch.cat((zeros(1, 2), randn(50, 2, generator=generator(1))))
     costs = -posterior.log_joint(Point(gels, posterior.mean_nuisances(len(gels))))
     assert float(costs[0]) == pytest.approx(posterior.least_cost, abs=1e-9)

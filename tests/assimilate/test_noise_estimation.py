@@ -13,7 +13,7 @@ from imr_torch.assimilate import (
 )
 from imr_torch.float64 import linspace
 from imr_torch.observe import Experiment, ExperimentBatch
-from tests.linear import NOISE, LinearSimulator, prior, tensor
+from tests.linear import NHKV, NOISE, LinearSimulator, prior, tensor
 
 OPTIONS = SearchOptions(raw_samples=24, starts=2)
 TIMES = linspace(0.0, 2.0, 60)
@@ -24,7 +24,7 @@ def filmed(scale: float, repeats: int, correlation_time: float = 0.0) -> Experim
     """Experiments on a gel of stiffness 5600 Pa, their noise a multiple of the law that the batch states."""
     source = torch.Generator().manual_seed(repeats)
     simulator = LinearSimulator()
-    belief = prior(("nhkv",)).models[0]
+    belief = NHKV.models[0]
     gel = belief.parameters(tensor(0.5, -0.3))
     noise = replace(NOISE, scale=scale, correlation_time=correlation_time)
     experiments = []

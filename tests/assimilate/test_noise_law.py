@@ -21,11 +21,12 @@ from imr_torch.assimilate import (
 from imr_torch.errors import InputDataError
 from imr_torch.float64 import linspace, randn, zeros
 from imr_torch.observe import CollapseTime, Experiment, ExperimentBatch, NoiseLaws, Nuisance
+from imr_torch.random import generator
 from tests.curved import mean_error, sd_error
 from tests.drifting import Slow, assert_that_only_widened_hold, drifting, hold
-from tests.linear import CORRELATED, NOISE, LinearSimulator, exact, experiments, prior, tensor
+from tests.linear import CORRELATED, NHKV, NOISE, LinearSimulator, exact, experiments, tensor
 
-PRIOR = prior(("nhkv",))
+PRIOR = NHKV
 PART = PRIOR.models[0]
 SIMULATOR = LinearSimulator()
 OPTIONS = SearchOptions(raw_samples=8, starts=2)
@@ -99,7 +100,7 @@ def test_that_evidence_and_moments_over_the_noise_are_those_of_brute_force_sums(
 
 def film(seed: int, frames: int = 14) -> tuple[ExperimentBatch, torch.Tensor]:
     """One curve of few frames of a gel of the prior, of a noise between half and twice the law that is stated."""
-    source = torch.Generator().manual_seed(seed)
+    source = generator(seed)
     gel = randn(2, generator=source)
     times = linspace(0.05, 2.5, frames)
     clean = SIMULATOR(PART.to_si(gel), tensor(400.0, 0.2), times).radius
@@ -143,7 +144,7 @@ def test_that_intervals_beside_residuals_that_drift_hold_and_those_of_independen
 
 def independent(seed: int, repeats: int = 1) -> ExperimentBatch:
     """Two curves of the model that is fitted, of independent frames."""
-    source = torch.Generator().manual_seed(seed)
+    source = generator(seed)
     times = linspace(0.05, 2.5, 40)
     clean = Slow()(PART.to_si(zeros(2)), tensor(400.0, 0.2), times).radius
     rows = [NOISE.draw(clean, times, repeats, generator=source) for _ in range(2)]

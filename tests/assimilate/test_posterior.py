@@ -19,13 +19,13 @@ from tests.linear import (
     BOTH,
     CORRELATED,
     MEANS,
+    NHKV,
     NOISE,
     SDS,
     LinearSimulator,
     exact,
     experiments,
     fit_linear,
-    prior,
     tensor,
 )
 
@@ -33,7 +33,7 @@ ALL = Nuisance(max_radius=0.01, time_zero=0.02, rest_radius=0.05)
 
 
 def linear(batch: ExperimentBatch, **how) -> Posterior:
-    return Posterior(prior(("nhkv",)).models[0], batch, LinearSimulator(**how))
+    return Posterior(NHKV.models[0], batch, LinearSimulator(**how))
 
 
 def points(posterior: Posterior, count: int) -> Point:

@@ -9,9 +9,9 @@ from imr_torch.assimilate import SearchOptions, assimilate_estimating_noise
 from imr_torch.assimilate.spikes import frames_left_out
 from imr_torch.float64 import linspace, randn
 from imr_torch.observe import Experiment, ExperimentBatch, Nuisance
-from tests.linear import CORRELATED, NOISE, LinearSimulator, prior, tensor
+from tests.linear import CORRELATED, NHKV, NOISE, LinearSimulator, tensor
 
-PRIOR = prior(("nhkv",))
+PRIOR = NHKV
 PART = PRIOR.models[0]
 SIMULATOR = LinearSimulator()
 OPTIONS = SearchOptions(raw_samples=8, starts=2)

@@ -17,7 +17,6 @@ from imr_torch.assimilate import (
     SearchOptions,
     Verdict,
     WeighingOptions,
-    assimilate,
     weigh,
 )
 from imr_torch.assimilate.importance import largest_shape
@@ -276,9 +275,7 @@ def test_that_many_curves_cost_few_of_the_draws():
 @pytest.fixture(scope="module")
 def right():
     options = SearchOptions(raw_samples=24, starts=2)
-    return assimilate(
-        prior(("nhkv",)), experiments(3, nuisance=BOTH), LinearSimulator(), seed=1, options=options
-    )
+    return fit_linear(experiments(3, nuisance=BOTH), options=options)
 
 
 def ended_too_high(right: Assimilation, away: float) -> Assimilation:

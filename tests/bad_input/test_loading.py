@@ -294,8 +294,9 @@ def test_that_a_missing_file_a_folder_and_no_file_are_told_apart(tmp_path):
 def test_that_an_unusable_json_beside_a_table_is_named(tmp_path, content, message):
     (tmp_path / "bad.csv").write_text(lines())
     (tmp_path / "bad.json").write_text(content)
-    with pytest.raises(InputDataError, match=message):
+    with pytest.raises(InputDataError, match=message) as caught:
         load_traces(tmp_path / "bad.csv")
+    assert caught.value.experiment == ("a" if "experiment 'a'" in str(caught.value) else None)
 
 
 LAYOUTS = {

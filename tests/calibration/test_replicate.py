@@ -18,13 +18,13 @@ from imr_torch.material import Belief, reference_case
 from imr_torch.observe import ExperimentBatch, Nuisance
 from imr_torch.random import generator
 from imr_torch.simulate import PolytropicSimulator
-from tests.linear import NOISE, LinearSimulator, exact, prior
+from tests.linear import NHKV, NOISE, LinearSimulator, exact, prior
 
 PLAN = Plan(times=linspace(0.0, 2.0, 13), repeats=16, noise=NOISE, collapses=None)
 OPTIONS = SearchOptions(raw_samples=8, starts=2)
 LINEAR = Arrangement(prior(("nhkv", "gen_qkv")), ((400.0, 0.2),), PLAN, samples=64, options=OPTIONS)
 
-ONE = replace(LINEAR, prior=prior(("nhkv",)))  # where model probabilities are not asked for
+ONE = replace(LINEAR, prior=NHKV)  # where model probabilities are not asked for
 
 
 def run(count, *, learn=None, plan=PLAN, simulator=None, arrangement=LINEAR):
@@ -158,7 +158,7 @@ def test_that_a_replicate_depends_on_its_number_alone():
 
 
 def test_that_gels_that_cannot_be_simulated_are_drawn_again():
-    most = float(prior(("nhkv",)).models[0].means[0])
+    most = float(NHKV.models[0].means[0])
     found = run(8, simulator=LinearSimulator(limit={"G": most}), arrangement=ONE)
     assert sum(r.redrawn for r in found) > 3
     with pytest.raises(ConvergenceError, match="None of 50 gels"):

@@ -18,7 +18,7 @@ from imr_torch.design import (
 from imr_torch.float64 import linspace, ones, rand
 from imr_torch.material import PARAMETERS, Belief
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, SimulatedLaboratory
-from tests.linear import NOISE, LinearSimulator, exact, prior, tensor
+from tests.linear import NHKV, NOISE, LinearSimulator, exact, prior, tensor
 
 SIMULATOR = LinearSimulator()
 TIMES = linspace(0.1, 3.0, 30)
@@ -46,18 +46,18 @@ def test_1_the_information_gain_does_not_saturate_at_the_log_of_the_draws():
     plan = Plan(TIMES, repeats=10**4, noise=NOISE, collapses=None)
     designs = tensor([300.0, 0.2])
     gain = expected_information_gain(
-        prior(("nhkv",)), designs, SIMULATOR, plan, estimator=Laplace(draws=16), seed=0
+        NHKV, designs, SIMULATOR, plan, estimator=Laplace(draws=16), seed=0
     ).value
     batch = ExperimentBatch((Experiment("", (300.0, 0.2), TIMES, ones(1, 30)),), NOISE)
     one = replace(batch, noise=replace(NOISE, scale=1e-2))  # ten thousand repeats
-    truth = -0.5 * float(torch.logdet(exact(prior(("nhkv",)).models[0], one).covariance))
+    truth = -0.5 * float(torch.logdet(exact(NHKV.models[0], one).covariance))
     assert truth > math.log(100) + 5.0
     assert gain == pytest.approx(truth, abs=1e-3)
 
 
 def test_2_the_likelihood_is_not_tempered_by_frames_and_repeats():
     batch = shot(50)
-    truth = exact(prior(("nhkv",)).models[0], batch).covariance
+    truth = exact(NHKV.models[0], batch).covariance
     found = learn(batch)["nhkv"].chol
     torch.testing.assert_close(found @ found.mT, truth, rtol=0.25, atol=1e-6)
 
@@ -107,7 +107,7 @@ def test_6_the_design_that_counts_is_the_one_that_was_achieved(tmp_path):
         """Of the posterior mean from the truth, in standard deviations; the largest of all
         parameters.
         """
-        run = Campaign(tmp_path / name, prior(("nhkv",)), SIMULATOR, settings=settings)
+        run = Campaign(tmp_path / name, NHKV, SIMULATOR, settings=settings)
         part = run.tell(experiment).belief["nhkv"]
         return float(((part.means - tensor(5300.0, 0.16)) / part.sds).abs().max())
 

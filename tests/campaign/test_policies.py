@@ -22,7 +22,8 @@ from imr_torch.gap import CauseLearner
 from tests.campaign import test_telling as told
 from tests.campaign.test_telling import PLAN, shoot
 from tests.journals import cut, rewritten
-from tests.linear import LinearSimulator, prior
+from tests.linear import NHKV, LinearSimulator
+from tests.refusals import refusals
 
 SPACE = DesignSpace(weber=(200.0, 900.0), rest_radius=(0.15, 0.25))
 QUICK = Optimal(Laplace(draws=3, rivals=3), evaluations=4, initial=3)
@@ -44,7 +45,7 @@ def campaign(folder, **changes) -> Campaign:
 
 def choose(policy, number: int, *, seed: int = 0, space: DesignSpace = SPACE) -> torch.Tensor:
     return policy.choose_design(
-        Situation(number, prior(("nhkv",)), LinearSimulator(), space, PLAN, seed)
+        Situation(number, NHKV, LinearSimulator(), space, PLAN, seed)
     ).design
 
 
@@ -84,7 +85,7 @@ def test_that_where_a_list_alone_can_be_shot_designs_are_of_it():
 
 def test_a_search_asks_in_batches_for_as_many_designs_in_all():
     found = Optimal(Laplace(draws=3, rivals=3), evaluations=9, initial=4, batch=3).choose_design(
-        Situation(1, prior(("nhkv",)), LinearSimulator(), SPACE, PLAN, 0)
+        Situation(1, NHKV, LinearSimulator(), SPACE, PLAN, 0)
     )
     assert found.search is not None
     assert len(found.search.designs) == len(found.search.gains) == 9
@@ -92,17 +93,10 @@ def test_a_search_asks_in_batches_for_as_many_designs_in_all():
     assert found.gain == found.search.recommendation.mean
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"evaluations": 5, "initial": 6}, "initial 6 of 5 evaluations"),
-        ({"batch": 0}, "Optimal.batch is 0; expected at least 1"),
-    ],
-    ids=str,
+test_a_search_that_cannot_be_is_refused = refusals(
+    (lambda: Optimal(evaluations=5, initial=6), "initial 6 of 5 evaluations"),
+    (lambda: Optimal(batch=0), "Optimal.batch is 0; expected at least 1"),
 )
-def test_a_search_that_cannot_be_is_refused(options, message):
-    with pytest.raises(InputDataError, match=message):
-        Optimal(**options)
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from imr_torch.observe import Experiment, Nuisance, SimulatedLaboratory
 from imr_torch.random import child
 from imr_torch.simulate import PolytropicSimulator
 from tests.journals import cut, rewritten
-from tests.linear import NOISE, LinearSimulator, prior, tensor
+from tests.linear import NHKV, NOISE, LinearSimulator, prior, tensor
 from tests.stubs import StubLearner
 
 PLAN = Plan(linspace(0.1, 2.0, 9), repeats=2, noise=NOISE, collapses=None)
@@ -228,7 +228,7 @@ def test_that_a_refused_campaign_leaves_no_journal_that_refuses_the_corrected_on
 def test_that_an_identity_that_json_cannot_hold_is_refused_by_name(tmp_path):
     for note in ({"depth": float("nan")}, {"camera": object()}):
         with pytest.raises(InputDataError, match="note cannot be written to a journal"):
-            Campaign(tmp_path, prior(("nhkv",)), LinearSimulator(), note=note)
+            Campaign(tmp_path, NHKV, LinearSimulator(), note=note)
 
 
 def test_that_a_campaign_is_resumed_on_any_number_of_threads(tmp_path):

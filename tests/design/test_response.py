@@ -1,12 +1,11 @@
-import pytest
 import torch
 
 from imr_torch.design import Plan
-from imr_torch.errors import InputDataError
 from imr_torch.float64 import linspace, tensor
 from imr_torch.material import reference_case
 from imr_torch.observe import Experiment, collapse_time
 from imr_torch.simulate import PolytropicSimulator
+from tests.refusals import refusals
 
 
 def test_the_window_holds_the_frames_that_an_assimilation_would_keep():
@@ -28,13 +27,7 @@ def test_a_curve_without_that_many_collapses_keeps_all_frames():
     assert bool(Plan(collapses=None).frames_in_window(torch.cos(9.0 * Plan().times)).all())
 
 
-@pytest.mark.parametrize(
-    ("bad", "message"),
-    [
-        ({"repeats": 0}, "Plan.repeats is 0; expected at least 1"),
-        ({"collapses": 0}, "Plan.collapses is 0; expected at least 1, or None"),
-    ],
+test_an_impossible_plan_is_refused = refusals(
+    (lambda: Plan(repeats=0), "Plan.repeats is 0; expected at least 1"),
+    (lambda: Plan(collapses=0), "Plan.collapses is 0; expected at least 1, or None"),
 )
-def test_an_impossible_plan_is_refused(bad, message):
-    with pytest.raises(InputDataError, match=message):
-        Plan(**bad)

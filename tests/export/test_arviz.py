@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from imr_torch.assimilate import SearchOptions, assimilate, weigh
+from imr_torch.assimilate import SearchOptions, weigh
 from imr_torch.errors import InputDataError
 from imr_torch.export import to_arviz
 from imr_torch.observe import ExperimentBatch, GelMedium, Nuisance
-from tests.linear import LinearSimulator, exact, experiments, fit_linear, prior, tensor
+from tests.linear import NHKV, LinearSimulator, exact, experiments, fit_linear, prior, tensor
 
 pytest.importorskip("arviz_base", reason="needs the extra arviz")
 
@@ -122,11 +122,9 @@ def test_that_a_fit_without_weights_gives_its_gaussian(weighted):
 
 
 def test_that_an_inferred_density_is_exported_as_the_logarithm_that_it_is():
-    belief = GelMedium().loosened.believed(prior(("nhkv",)))
+    belief = GelMedium().loosened.believed(NHKV)
     options = SearchOptions(raw_samples=8, starts=2)
-    fits = assimilate(
-        belief, experiments(2), LinearSimulator(), seed=0, options=options, warn=False
-    )
+    fits = fit_linear(experiments(2), belief=belief, options=options, warn=False)
     names = set(to_arviz(fits, seed=0, draws=2)["nhkv+density/posterior"].data_vars)
     assert names == {"G", "mu", "ln_density_ratio"}
 

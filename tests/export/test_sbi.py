@@ -12,7 +12,7 @@ from imr_torch.errors import InputDataError, ShapeError
 from imr_torch.export import ModelPrior, sbi_simulator
 from imr_torch.material import Belief, LogNormal, TruncatedNormal, reference_case
 from imr_torch.observe import Noise, Nuisance
-from tests.linear import CORRELATED, MEANS, NOISE, SDS, LinearSimulator, prior, tensor
+from tests.linear import CORRELATED, MEANS, NHKV, NOISE, SDS, LinearSimulator, tensor
 
 DESIGNS = tensor([300.0, 0.2], [700.0, 0.25])
 TIMES = float64.linspace(0.1, 2.0, 9)
@@ -22,7 +22,7 @@ PART = reference_case("stiff-pa").prior["gen_qkv"]
 
 def pair(simulator=None, **options):
     return sbi_simulator(
-        prior(("nhkv",))["nhkv"], simulator or LinearSimulator(), DESIGNS, TIMES, seed=0, **options
+        NHKV["nhkv"], simulator or LinearSimulator(), DESIGNS, TIMES, seed=0, **options
     )
 
 
@@ -72,7 +72,7 @@ def test_that_the_support_is_where_the_density_is():
     inside = to_support(free)
     assert bool(given.support.check(inside).all())
     assert_close(to_support.inv(inside), free)
-    unbounded = ModelPrior(prior(("nhkv",))["nhkv"])
+    unbounded = ModelPrior(NHKV["nhkv"])
     assert unbounded.support.check(tensor([-1e9, 1e9])).tolist() == [True]
 
 

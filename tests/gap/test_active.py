@@ -18,6 +18,7 @@ from imr_torch.gap import CauseLearner, TellCausesApart, active
 from imr_torch.material import PARAMETERS, wide_prior
 from imr_torch.observe import SimulatedLaboratory
 from tests.gap.synthetic import GEL, SIMULATOR
+from tests.refusals import refusals
 
 OFFERED = ("sound_speed", "damage", "strain_stiffening")
 PRIOR = wide_prior(("nhkv",))
@@ -119,13 +120,11 @@ def test_that_several_models_or_designs_at_once_are_refused(tmp_path):
         both.tell(shoot({})(tensor([400.0, 0.2]), 1))
 
 
-def test_that_settings_are_checked():
-    with pytest.raises(InputDataError, match="most is 0"):
-        CauseLearner(most=0)
-    with pytest.raises(InputDataError, match="1 designs"):
-        replace(TellCausesApart(CauseLearner()), designs=1)
-    with pytest.raises(InputDataError, match="nonsense"):
-        CauseLearner(("nonsense",))
+test_that_settings_are_checked = refusals(
+    (lambda: CauseLearner(most=0), "most is 0"),
+    (lambda: replace(TellCausesApart(CauseLearner()), designs=1), "1 designs"),
+    (lambda: CauseLearner(("nonsense",)), "nonsense"),
+)
 
 
 def test_that_the_command_looks_for_a_hidden_cause(tmp_path):

@@ -20,6 +20,7 @@ from imr_torch.gap.shrinkage import (
     shrinkage,
 )
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance
+from imr_torch.random import generator
 from tests.gap.synthetic import BASE, DESIGNS, SIMULATOR, fit, shoot
 
 RIVALS = ["wall", "sound_speed"]
@@ -89,7 +90,7 @@ def test_that_the_curve_that_judges_has_no_say_in_what_is_selected():
 
 def pair(bias: float, freedom: int, seed: int) -> Judged:
     """A held-out design whose effect predicts no better than the base, with more freedom of its own."""
-    source = torch.Generator().manual_seed(seed)
+    source = generator(seed)
     times = linspace(0.0, 2.4, 90)
     radius = 0.2 + 0.8 * torch.cos(1.7 * times).abs()
     batch = ExperimentBatch((Experiment("shot", (400.0, 0.2), times, radius[None]),))
@@ -132,7 +133,7 @@ def test_that_freedom_alone_earns_nothing(freedom):
 
 def test_that_the_interval_covers_the_mean_over_curves():
     """Of eight curves whose squared gaps scatter, the interval is for the mean over all there are."""
-    source = torch.Generator().manual_seed(0)
+    source = generator(0)
     inside = 0
     for _ in range(200):
         base = 5.0 + 10.0 * rand(8, generator=source)
@@ -188,7 +189,7 @@ def test_that_a_quiet_phase_takes_nothing_from_the_gap():
     for seed in range(12):
         judged = pair(0.0, 0, seed)
         phase = judged.phase
-        noise = randn(90, generator=torch.Generator().manual_seed(seed))
+        noise = randn(90, generator=generator(seed))
         residual = torch.where(phase < 2, noise + 1.0, 0.1 * noise)
         loud = replace(judged.base, residual=residual)
         excess = replace(judged, base=loud, effect=loud).excess_by_phase()[0]

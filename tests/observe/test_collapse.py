@@ -19,7 +19,6 @@ from imr_torch.observe import (
     Experiment,
     ExperimentBatch,
     Nuisance,
-    RadiusTrace,
     TraceSet,
     load_collapse_times,
     load_traces,
@@ -30,6 +29,7 @@ from imr_torch.observe.prediction import _simulate_bubbles, predict_collapse
 from imr_torch.random import generator
 from imr_torch.simulate import Conditions, PolytropicGas
 from imr_torch.units import Surroundings
+from tests.filmed import film
 
 GEL = {"G": 8000.0, "mu": 0.1}
 SIMULATOR = PolytropicSimulator()
@@ -270,17 +270,8 @@ def test_that_the_posterior_is_that_of_quadrature_and_the_scatter_is_found():
 
 
 def test_that_curves_and_times_of_one_gel_tell_more_than_either():
-    size = 300e-6
-    source = generator(5)
     times = linspace(0.0, 2.5, 60)
-    radius = SIMULATOR(
-        PARAMETERS.pack(GEL), tensor([Surroundings().weber(size), 0.15]), times
-    ).radius
-    radius = radius + 0.01 * randn(60, generator=source)
-    trace = RadiusTrace(
-        "curve", times * Surroundings().time_scale(size), size * radius.clamp_min(1e-3), "test"
-    )
-    curve = TraceSet((trace,))
+    curve = TraceSet((film(GEL, 300e-6, 0.15, times, generator(5), noise=0.01, name="curve"),))
     data = shots(8, seed=4)
     both = fitted(data, curve, rest_radius=(0.15, 0.0015))
     either = [fitted(data), fitted((), curve, rest_radius=(0.15, 0.0015))]

@@ -3,14 +3,14 @@ solver's error.
 """
 
 import pytest
-import torch
 
 from imr_torch import PolytropicSimulator, characterize, wide_prior
 from imr_torch.assimilate import SearchOptions
-from imr_torch.float64 import linspace, tensor
-from imr_torch.material import PARAMETERS
-from imr_torch.observe import RadiusTrace, TraceSet, find_landmarks, prepare
+from imr_torch.float64 import linspace
+from imr_torch.observe import TraceSet, find_landmarks, prepare
+from imr_torch.random import generator
 from imr_torch.units import Surroundings
+from tests.filmed import film
 
 GEL = {"G": 8310.0, "mu": 0.093}
 SIMULATOR = PolytropicSimulator()
@@ -19,11 +19,7 @@ SIZE = 270e-6
 
 def record(frames: int, *, noise: float = 0.0, last: float = 3.0) -> TraceSet:
     times = linspace(0.0, last, frames)
-    design = tensor([Surroundings().weber(SIZE), 0.2])
-    radius = SIMULATOR(PARAMETERS.pack(GEL), design, times).radius
-    radius = radius + noise * torch.randn(frames, generator=torch.Generator().manual_seed(1))
-    time_s = times * Surroundings().time_scale(SIZE)
-    return TraceSet((RadiusTrace("a", time_s, SIZE * radius, "a.csv"),))
+    return TraceSet((film(GEL, SIZE, 0.2, times, generator(1), noise=noise, name="a"),))
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.003])

@@ -14,7 +14,7 @@ from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Film, Noise, Nuisance, displaced, predict
 from imr_torch.random import generator
 from imr_torch.simulate import PolytropicSimulator
-from tests.linear import LinearSimulator, correlation, prior, tensor
+from tests.linear import NHKV, LinearSimulator, correlation, tensor
 
 NOISES = {
     "published": Noise(),
@@ -145,7 +145,7 @@ def test_that_a_failed_prediction_is_impossible_and_its_neighbours_are_not_distu
 
 def test_that_a_prediction_is_the_simulators_radius_at_each_experiments_own_times():
     batch = ExperimentBatch(shots())
-    part = prior(("nhkv",)).models[0]
+    part = NHKV.models[0]
     parameters = part.parameters(random(2, 5, 2, seed=1))
     found = predict(LinearSimulator(), parameters, batch)
     assert found.shape == (2, 5, 3, 12)
@@ -156,7 +156,7 @@ def test_that_a_prediction_is_the_simulators_radius_at_each_experiments_own_time
 
 def test_that_a_shifted_prediction_is_the_displaced_bubble_seen_with_the_measured_rmax():
     batch = ExperimentBatch(shots())
-    parameters = prior(("nhkv",)).models[0].parameters(tensor(0.2, -0.3))
+    parameters = NHKV.models[0].parameters(tensor(0.2, -0.3))
     shifts = tensor([0.02, 0.01, -0.05], [-0.01, 0.03, 0.0], [0.0, -0.02, 0.1])
     found = predict(PolytropicSimulator(), parameters, batch, shifts)
     for e, shot in enumerate(batch.experiments):

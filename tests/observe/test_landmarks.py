@@ -8,13 +8,14 @@ import pytest
 import torch
 
 from imr_torch.files import read_json
-from imr_torch.float64 import arange, linspace, randn, tensor
+from imr_torch.float64 import arange, linspace, tensor
 from imr_torch.material import PARAMETERS
 from imr_torch.observe.landmarks import Landmarks, find_landmarks
 from imr_torch.reading.load import load_traces
 from imr_torch.reading.traces import Given, RadiusTrace
-from imr_torch.simulate import PolytropicSimulator, Status, TransportSimulator
+from imr_torch.simulate import Status, TransportSimulator
 from imr_torch.units import Surroundings
+from tests.filmed import film
 
 TOP = 2e-4
 REST = 1.1e-4
@@ -187,20 +188,17 @@ def test_that_a_record_that_begins_at_its_maximum_gives_it_by_the_frames_after_i
     late = []
     times = []
     values = []
-    simulator = PolytropicSimulator()
     source = torch.Generator().manual_seed(0)
     scale = Surroundings().time_scale(3e-4)
     for number in range(100):
         first = 0.3 * (number % 10) / 10.0 * 1e-6
         seconds = first + 1e-6 * arange(90)
-        design = tensor([Surroundings().weber(3e-4), 0.15 + 0.01 * (number % 7)])
-        clean = simulator(
-            PARAMETERS.pack({"G": 3e3 + 200.0 * (number % 9), "mu": 0.06}), design, seconds / scale
-        ).radius
-        seen = 3e-4 * (clean + 0.003 * randn(90, generator=source))
-        found = find_landmarks(RadiusTrace("shot", seconds, seen, "test"))
+        gel = {"G": 3e3 + 200.0 * (number % 9), "mu": 0.06}
+        rest = 0.15 + 0.01 * (number % 7)
+        trace = film(gel, 3e-4, rest, seconds / scale, source, noise=0.003)
+        found = find_landmarks(trace)
         assert found.max_method == "one-sided fit"
-        late.append(float(seconds[int(seen.argmax())]))
+        late.append(float(seconds[int(trace.radius_m.argmax())]))
         times.append((found.time_of_max_s, found.time_of_max_sd_s))
         values.append((found.max_radius_m - 3e-4, found.max_radius_sd_m))
     for rows in (times, values):

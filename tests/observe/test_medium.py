@@ -12,11 +12,12 @@ from imr_torch import Characterization, PolytropicSimulator, characterize, load_
 from imr_torch.assimilate import SearchOptions
 from imr_torch.characterization import medium_of
 from imr_torch.errors import InputDataError
-from imr_torch.float64 import linspace, randn, tensor
-from imr_torch.material import PARAMETERS
+from imr_torch.float64 import linspace
 from imr_torch.material.media import water_density, water_surface_tension
 from imr_torch.observe import RadiusTrace, Statement, TraceSet, gel_medium
+from imr_torch.random import generator
 from imr_torch.units import Surroundings
+from tests.filmed import film
 
 
 def text(said: str) -> Statement:
@@ -129,21 +130,17 @@ def test_that_the_json_beside_a_file_states_the_medium_and_text_stays_a_remark(t
         load_traces(tmp_path / "gel.csv")
 
 
-TRUE = Surroundings(density=1120.0)
-
-
 def shots(**gel: float) -> TraceSet:
     """Two shots in a medium of 1120 kg/m^3, with noise of .004 in R*."""
     simulator = gel_medium(text("density=1120")).applied(PolytropicSimulator())
-    noise = torch.Generator().manual_seed(3)
-    traces = []
-    for name, size, rest in (("a", 250e-6, 0.2), ("b", 320e-6, 0.16)):
-        times = linspace(0.0, 2.4, 49)
-        design = tensor([float(TRUE.weber(size)), rest])
-        radius = simulator(PARAMETERS.pack(gel), design, times).radius
-        radius = radius + 0.004 * randn(len(times), generator=noise)
-        traces.append(RadiusTrace(name, times * TRUE.time_scale(size), size * radius, "simulated"))
-    return TraceSet(tuple(traces))
+    given = {"noise": 0.004, "simulator": simulator}
+    source = generator(3)
+    return TraceSet(
+        tuple(
+            film(gel, size, rest, linspace(0.0, 2.4, 49), source, name=name, **given)
+            for name, size, rest in (("a", 250e-6, 0.2), ("b", 320e-6, 0.16))
+        )
+    )
 
 
 def fitted(curves: TraceSet, medium: str, model: str = "nhkv") -> Characterization:

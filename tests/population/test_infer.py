@@ -34,9 +34,9 @@ from imr_torch.population.likelihood import quadratic_form
 from imr_torch.population.sampling import Problem, jackknife_error, sample_population
 from imr_torch.random import generator
 from tests.curved import CurvedSimulator
-from tests.linear import MEANS, NOISE, SDS, LinearSimulator, prior, tensor
+from tests.linear import MEANS, NHKV, NOISE, SDS, LinearSimulator, tensor
 
-PRIOR = prior(("nhkv",))
+PRIOR = NHKV
 PART = PRIOR["nhkv"]
 SCALE = 0.5
 OPTIONS = SearchOptions(raw_samples=16, starts=2)

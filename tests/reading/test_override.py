@@ -20,6 +20,7 @@ from imr_torch.observe import (
     prepare,
     state,
 )
+from tests.refusals import refusals
 from tests.results.documents import write_table
 
 
@@ -76,17 +77,20 @@ def test_that_a_window_without_frames_is_refused():
         prepare(TraceSet((trace(Override(window_end_s=4e-7)),)))
 
 
-@pytest.mark.parametrize(
-    ("values", "text"),
-    [
-        ({"max_radius_m": -1.0}, r"Override\.max_radius_m is -1\.0; expected a positive length"),
-        ({"rest_radius_sd_m": 1e-6}, r"rest_radius_sd_m is 1e-06 and rest_radius_m is not given"),
-        ({"window_end_s": float("nan")}, r"Override\.window_end_s is nan; expected seconds"),
-    ],
+test_that_impossible_values_are_refused = refusals(
+    (
+        lambda: Override(max_radius_m=-1.0),
+        r"Override\.max_radius_m is -1\.0; expected a positive length",
+    ),
+    (
+        lambda: Override(rest_radius_sd_m=1e-6),
+        r"rest_radius_sd_m is 1e-06 and rest_radius_m is not given",
+    ),
+    (
+        lambda: Override(window_end_s=float("nan")),
+        r"Override\.window_end_s is nan; expected seconds",
+    ),
 )
-def test_that_impossible_values_are_refused(values, text):
-    with pytest.raises(InputDataError, match=text):
-        Override(**values)
 
 
 def test_that_what_is_stated_is_read_again_and_counts_before_the_laboratory(tmp_path):

@@ -17,6 +17,7 @@ from imr_torch.random import generator
 from imr_torch.results import header
 from imr_torch.simulate import Conditions
 from imr_torch.units import Surroundings
+from tests.filmed import film
 
 GEL = {"G": 8310.0, "mu": 0.093}
 LABELS = ("$x_{bad$", "a/b", "a_b", "a b", "<script>alert(1)</script>")
@@ -49,13 +50,10 @@ def traces(
 def shot(*, seed: int = 3, medium: Surroundings | None = None) -> TraceSet:
     """A bubble of 300 um and R_inf* .21 as a camera of .003 in R* films it every microsecond."""
     medium = medium or Surroundings()
-    size = 300e-6
-    times = 1e-6 * arange(1, 75)
-    bubbles = PolytropicSimulator(Conditions(surroundings=medium))
-    design = tensor([medium.weber(size), 0.21])
-    radius = bubbles(PARAMETERS.pack(GEL), design, times / medium.time_scale(size)).radius
-    filmed = radius + 0.003 * randn(len(times), generator=torch.Generator().manual_seed(seed))
-    return TraceSet((RadiusTrace("a", times, size * filmed, "simulated"),))
+    times = 1e-6 * arange(1, 75) / medium.time_scale(300e-6)
+    simulator = PolytropicSimulator(Conditions(surroundings=medium))
+    given = {"noise": 0.003, "name": "a", "simulator": simulator}
+    return TraceSet((film(GEL, 300e-6, 0.21, times, generator(seed), **given),))
 
 
 def write_table(records: TraceSet, path: Path) -> Path:

@@ -19,6 +19,7 @@ from tests.linear import (
     BOTH,
     MEANS,
     MODELS,
+    NHKV,
     NOISE,
     SDS,
     LinearSimulator,
@@ -57,7 +58,7 @@ def found(assimilation: Assimilation, *, seed: int, samples: int = 256) -> tuple
 @pytest.fixture(scope="module")
 def simple():
     batch = experiments(3, nuisance=BOTH)
-    belief = prior(("nhkv",))
+    belief = NHKV
     return batch, fitted(batch, belief).fits[0], exact(belief.models[0], batch).log_evidence
 
 

@@ -1,11 +1,10 @@
 """Derivatives on the grids of the bubble and of the gel."""
 
-import pytest
 import torch
 
-from imr_torch.errors import InputDataError
 from imr_torch.float64 import ones
 from imr_torch.simulate import Resolution
+from tests.refusals import refusals
 
 
 def test_spectral_grids_differentiate_smooth_fields_to_many_digits():
@@ -20,14 +19,8 @@ def test_spectral_grids_differentiate_smooth_fields_to_many_digits():
     assert float((outside.laplacian @ far**-3 - (6.0 * far**-5)[1:]).abs().max()) < 1e-6
 
 
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        ({"inside": 3}, "expected 4 to 512"),
-        ({"reach": 0.0}, "reach > 0"),
-        ({"stretch": 9.0}, "0 < stretch <= 6"),
-    ],
+test_a_bad_resolution_is_refused = refusals(
+    (lambda: Resolution(inside=3), "expected 4 to 512"),
+    (lambda: Resolution(reach=0.0), "reach > 0"),
+    (lambda: Resolution(stretch=9.0), "0 < stretch <= 6"),
 )
-def test_a_bad_resolution_is_refused(arguments, text):
-    with pytest.raises(InputDataError, match=text):
-        Resolution(**arguments)

@@ -9,7 +9,7 @@ import pytest
 import torch
 from numpy.polynomial import legendre
 
-from imr_torch.errors import InputDataError, ShapeError
+from imr_torch.errors import ShapeError
 from imr_torch.float64 import linspace, rand, tensor
 from imr_torch.material import PARAMETERS
 from imr_torch.simulate import (
@@ -27,6 +27,7 @@ from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.engines import ENGINES
 from imr_torch.simulate.rhs import HEAD, Equations
 from imr_torch.simulate.rosenbrock import rosenbrock_step, scaled_error, step_factor
+from tests.refusals import refusals
 from tests.simulate.bubble import CLOSURES, draw_bubbles
 
 TIMES = linspace(0.0, 2.5, 51)
@@ -149,21 +150,15 @@ def test_a_wide_box_of_gels_and_designs_is_solved():
     assert torch.isfinite(solution.radius).all()
 
 
-@pytest.mark.parametrize(
-    ("make", "text"),
-    [
-        (lambda: GasMixture(vapour="wet"), "expected one of transported, constant, frozen, absent"),
-        (lambda: GasMixture(heat_ratio=1.0), "expected above 1"),
-        (lambda: GasMixture(diffusivity=-1.0), "GasMixture.diffusivity is -1.0"),
-        (lambda: Medium(heat_capacity=math.nan), "Medium.heat_capacity is nan"),
-        (lambda: Medium(capacity_of="air"), "expected one of medium, gas_wall"),
-        (lambda: Accuracy(tolerance=0.0), "expected 1e-12 to 0.1"),
-        (lambda: Accuracy(max_steps=0), "max_steps is 0; expected at least 1"),
-    ],
+test_bad_input_is_refused_with_advice = refusals(
+    (lambda: GasMixture(vapour="wet"), "expected one of transported, constant, frozen, absent"),
+    (lambda: GasMixture(heat_ratio=1.0), "expected above 1"),
+    (lambda: GasMixture(diffusivity=-1.0), "GasMixture.diffusivity is -1.0"),
+    (lambda: Medium(heat_capacity=math.nan), "Medium.heat_capacity is nan"),
+    (lambda: Medium(capacity_of="air"), "expected one of medium, gas_wall"),
+    (lambda: Accuracy(tolerance=0.0), "expected 1e-12 to 0.1"),
+    (lambda: Accuracy(max_steps=0), "max_steps is 0; expected at least 1"),
 )
-def test_bad_input_is_refused_with_advice(make, text):
-    with pytest.raises(InputDataError, match=text):
-        make()
 
 
 def test_a_wrong_shape_is_refused():
