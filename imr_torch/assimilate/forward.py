@@ -101,17 +101,23 @@ class ForwardModel:
         """Nuisances at their prior means, ``batch_shape x E x w``."""
         return zeros(*batch_shape, *self.batch.nuisance_sds.shape)
 
-    def predict(self, point: Point, *, bundled: bool = False) -> BatchFrames:
+    def predict(self, point: Point, *, bundled: bool = False, precise: bool = True) -> BatchFrames:
         """What the camera would see: ``batch_shape x E x T``, R/Rmax; 0 beyond the last frame, NaN
         where a bubble fails.
 
         Args:
             point: ``batch_shape`` points.
             bundled: whether the last batch dimension is that of a bundle, whose first point leads.
+            precise: as for :func:`imr_torch.observe.predict`.
         """
         shifts = point.nuisances * self.batch.nuisance_sds if len(self.uncertain) else None
         prediction = predict(
-            self.simulator, self.prior.to_si(point.gel), self.batch, shifts, bundled=bundled
+            self.simulator,
+            self.prior.to_si(point.gel),
+            self.batch,
+            shifts,
+            bundled=bundled,
+            precise=precise,
         )
         return torch.where(self.batch.mask, prediction, 0.0)
 
