@@ -23,7 +23,7 @@ from imr_torch.float64 import randn, zeros
 from imr_torch.gap.adequacy import Adequacy, log_p_values
 from imr_torch.gap.diagnose import GapReport
 from imr_torch.gap.hypotheses import EXPLAINS
-from imr_torch.gap.identity_design import identity_design, plan_of
+from imr_torch.gap.identity_design import identity_design, plan_of, remaining_causes
 from imr_torch.gap.model_error import Hidden, ModelError, hidden_effects, model_error
 from imr_torch.gap.shrinkage import Shrinkage, shrinkage
 from imr_torch.gap.verdict import OTHER
@@ -189,7 +189,10 @@ def _wants_design(report: GapReport) -> bool:
     found = report.attribution
     if found is None or report.verdict == OTHER:
         return False
-    return found.posterior.get(found.winner.name, 0.0) <= _SURE
+    with suppress(InputDataError):  # fewer than two causes are left
+        remaining_causes(found.with_one_gel, found.posterior)
+        return found.posterior.get(found.winner.name, 0.0) <= _SURE
+    return False
 
 
 def _next(
