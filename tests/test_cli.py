@@ -294,6 +294,16 @@ def test_that_a_campaign_is_resumed_without_naming_its_models_again(told_once, t
     assert re.search(r"^  G \d.* kPa \(90 %:", said, re.MULTILINE)
 
 
+def test_that_a_campaign_for_a_cause_is_resumed_without_naming_its_goal_again(tmp_path, capsys):
+    begun = f"campaign --physics polytropic --seed 2 --out {tmp_path / 'hunt'}".split()
+    goal = ["--goal", "cause", "--models", "nhkv", "--effects", "sound_speed,gas_loss"]
+    assert main([*begun, *goal]) == 0
+    first = capsys.readouterr().out
+    assert main([*begun, "--resume"]) == 0
+    said = capsys.readouterr().out
+    assert re.findall("Shoot next: .*", said) == re.findall("Shoot next: .*", first) != []
+
+
 def test_that_a_file_is_told_once_and_forgotten_by_its_number(told_once, tmp_path, capsys):
     whole, told = told_once
     out = tmp_path / "gel"

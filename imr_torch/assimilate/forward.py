@@ -17,6 +17,7 @@ from torch import Tensor
 from imr_torch.float64 import eye, zeros
 from imr_torch.material import ModelBelief
 from imr_torch.observe import ExperimentBatch, Film, predict
+from imr_torch.observe.prediction import NodeTimes
 from imr_torch.simulate import Simulator
 from imr_torch.types import BatchControls, BatchFrames
 
@@ -79,6 +80,11 @@ class ForwardModel:
         return len(self.prior.names)
 
     @cached_property
+    def node_times(self) -> NodeTimes:
+        """Collapse times of the gels that were last predicted."""
+        return NodeTimes()
+
+    @cached_property
     def uncertain(self) -> Int[Tensor, "columns"]:
         """Columns of nuisances that are uncertain in any experiment."""
         return torch.nonzero((self.batch.nuisance_sds > 0.0).any(0))[:, 0]
@@ -101,17 +107,24 @@ class ForwardModel:
         """Nuisances at their prior means, ``batch_shape x E x w``."""
         return zeros(*batch_shape, *self.batch.nuisance_sds.shape)
 
-    def predict(self, point: Point, *, bundled: bool = False) -> BatchFrames:
+    def predict(self, point: Point, *, bundled: bool = False, precise: bool = True) -> BatchFrames:
         """What the camera would see: ``batch_shape x E x T``, R/Rmax; 0 beyond the last frame, NaN
         where a bubble fails.
 
         Args:
             point: ``batch_shape`` points.
             bundled: whether the last batch dimension is that of a bundle, whose first point leads.
+            precise: whether differences can be taken; else collapse times are kept, see ``kept`` of
+                :func:`imr_torch.observe.predict`.
         """
         shifts = point.nuisances * self.batch.nuisance_sds if len(self.uncertain) else None
         prediction = predict(
-            self.simulator, self.prior.to_si(point.gel), self.batch, shifts, bundled=bundled
+            self.simulator,
+            self.prior.to_si(point.gel),
+            self.batch,
+            shifts,
+            bundled=bundled,
+            kept=None if precise else self.node_times,
         )
         return torch.where(self.batch.mask, prediction, 0.0)
 

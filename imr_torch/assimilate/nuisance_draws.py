@@ -120,7 +120,7 @@ class NuisanceDraws:
         parts = list[Tensor]()
         for basin, nuisances in zip(self.basins, self.nuisances.split(count, dim=1), strict=True):
             own = nuisances[:, :, basin.rows]
-            seen = basin.posterior.predict(Point(controls, own.flatten(0, 1)))
+            seen = basin.posterior.predict(Point(controls, own.flatten(0, 1)), precise=False)
             seen = seen.unflatten(0, own.shape[:2])
             if parts:
                 missing = parts[0].shape[-1] - seen.shape[-1]

@@ -146,7 +146,7 @@ class Posterior(ForwardModel):
             known = torch.isfinite(near.prediction).all(-1).all(-2)[..., None]
             equations = near.equations
         else:
-            prediction = self.predict(point)
+            prediction = self.predict(point, precise=False)
             known = torch.isfinite(prediction).all(-1, keepdim=True)
             slopes = (x.expand(len(point.gel), *x.shape) for x in beside.slopes)
             equations = self.equations(point, torch.where(known, prediction, 0.5), *slopes)

@@ -69,10 +69,13 @@ class _State:
     bent: bool = False
     basins: list[NuisanceBasin] = field(default_factory=list)
 
-    def needs_round(self, options: WeighingOptions) -> bool:
+    def needs_round(self, options: WeighingOptions, ahead: set[str], rounds: int) -> bool:
         """Whether the draws so far do not give reliable moments, and more of them may."""
         sample = self.fit.sample
-        assert sample is not None
+        if not self.parts or sample is None:
+            return True
+        if len(self.parts) >= rounds or self.fit.model not in ahead:
+            return False
         hopeless = len(self.parts) > 2 and sample.effective_samples < options.hopeless * len(sample)
         return self.fit.verdict is Verdict.REFUSED and not hopeless
 
@@ -154,10 +157,11 @@ def weigh(
     ]
     waiting = states
     number = 0
-    drawn = 0
+    drawn = 0.0
+    if progress:
+        progress(ProgressLine("draws about each fit", stage="draws", part=0.0))
     while waiting:
         number += 1
-        expected = drawn + 1.5 * len(waiting)  # half of the models need another round
         ahead = _models_ahead([state.fit for state in states], drop_behind)
         for state in waiting:
             state.proposals.append(_make_proposal(state, seed, options))
@@ -168,22 +172,29 @@ def weigh(
             state.parts.append(sample)
             state.drawn += 1
             state.fit = replace(state.fit, sample=sample)
-            drawn += 1
+            drawn += _size_of_round(len(state.parts) - 1)
             if progress:
                 model = state.fit.prior.material.title
                 text = f"draws: {model}, round {number}, {state.fit.trust}"
                 step = f"{model}, round {number} of at most {rounds}"
+                expected = drawn + sum(
+                    _size_of_round(later)  # two more each, as far as they are allowed
+                    for one in waiting
+                    if one.needs_round(options, ahead, rounds)
+                    for later in range(len(one.parts), min(len(one.parts) + 2, rounds))
+                )
                 part = drawn / expected
-                progress(ProgressLine(text, stage="draws", step=step, part=part))
+                size = expected / (2.0 * len(states))
+                progress(ProgressLine(text, step=step, part=part, size=size))
         _fit_again(waiting, states, options, child(seed, "refit", number), progress)
         ahead = _models_ahead([state.fit for state in states], drop_behind)
-        waiting = [
-            c
-            for c in waiting
-            if not c.parts
-            or (c.needs_round(options) and len(c.parts) < rounds and c.fit.model in ahead)
-        ]
+        waiting = [state for state in waiting if state.needs_round(options, ahead, rounds)]
     return replace(assimilation, fits=tuple(state.fit for state in states))
+
+
+def _size_of_round(number: int) -> float:
+    """Draws of a model's round, the first of which is 0, over those of its first one."""
+    return 2.0 ** max(0, number - 2)
 
 
 def _fit_again(

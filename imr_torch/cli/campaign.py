@@ -89,14 +89,18 @@ def run_command(args: Namespace) -> None:
 
 
 def _begun_with(args: Namespace) -> Belief | None:
-    """The prior of the campaign that is resumed, where no option names one; its case is as if it
-    was given.
+    """The prior of the campaign that is resumed, where no option names one; its case and its goal
+    are as if they were given.
     """
     if not args.resume or any((args.models, args.known, args.belief, args.case)):
         return None
     start = Journal(args.out).find_event("start")
     if start is None:
         return None
+    learner = start["settings"]["learner"]
+    if learner["kind"] == "CauseLearner":
+        args.goal = "cause"
+        args.effects = args.effects or list(learner["effects"])
     args.case = start["note"].get("case")
     return None if args.case else Belief.from_dict(start["prior"])
 

@@ -64,7 +64,9 @@ def _characterize(args: Namespace) -> None:
 
     rounds = NOISE_ROUNDS if args.noise == "estimated" else 0
     drawn = bool(args.out or args.html)
-    stages = characterize_stages(rounds, population=args.population, figures=drawn)
+    stages = characterize_stages(
+        rounds, curves=len(traces) > 0, population=args.population, figures=drawn
+    )
     result = characterize(
         traces,
         prior=prior,

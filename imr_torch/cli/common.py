@@ -88,8 +88,9 @@ def exact_medium(args: Namespace, prior: Belief) -> str:
     if args.case or not exact:
         return ""
     return (
-        f"Not stated, and exact here: {exact[0]} ({medium.value(exact[0])}). characterize infers it, "
-        "and finds wider intervals of G: measure it and state it (--medium density=VALUE:SD)."
+        f"You did not state the {exact[0]}: {medium.value(exact[0])} is taken as exact here, while "
+        "characterize infers it and finds wider intervals of G. Measure it and state it "
+        "(--medium density=VALUE:SD)."
     )
 
 

@@ -36,7 +36,7 @@ class Stage:
 
 
 def characterize_stages(
-    noise_rounds: int, *, population: bool = False, figures: bool = True
+    noise_rounds: int, *, curves: bool = True, population: bool = False, figures: bool = True
 ) -> tuple[Stage, ...]:
     """The stages of ``characterize``: one fit per noise law, draws, the fit test, perhaps each shot
     alone, and figures.
@@ -45,12 +45,14 @@ def characterize_stages(
     >>> [stage.name for stage in characterize_stages(1, figures=False)]
     ['fit of all models', 'fit with the estimated noise', 'posterior draws', 'fit test']
     """
-    # shares measured on the example gel and on PA1 and S2 of RESULTS, alone and as populations
+    # shares measured on the example gel, PA1 and S2 of RESULTS, alone and as populations, on two
+    # simulated gels, and on collapse times
     stages = [Stage("fit of all models", 1.0)]
     for number in range(1, noise_rounds + 1):
         again = f" (round {number} of {noise_rounds})" if noise_rounds > 1 else ""
         stages.append(Stage(f"fit with the estimated noise{again}", 0.8, "noise"))
-    stages.append(Stage("posterior draws", 6.0, "draws"))
+    # of draws of one gel, collapse times are interpolated
+    stages.append(Stage("posterior draws", 6.0 if curves else 2.8, "draws"))
     stages.append(Stage("fit test", 0.5, "fit test"))
     if population:
         stages.append(Stage("each shot by itself", 5.0, "shots"))
@@ -71,7 +73,7 @@ def diagnose_stages(*, estimate_noise: bool) -> tuple[Stage, ...]:
     return (
         Stage("fit of the base model and test for a gap", 1.0),
         Stage("causes", 7.5 if estimate_noise else 4.0, "effects"),
-        Stage("location, reduction, next design", 4.0 if estimate_noise else 2.0, "location"),
+        Stage("location, reduction, next design", 4.0, "location"),
         Stage("figures", 0.3, "figures"),
     )
 

@@ -138,13 +138,12 @@ def _shares(report: GapReport) -> dict[str, float]:
     """What the data do not rule out -> its probability.
 
     An unknown effect (in place of those that were selected, or, less probably, beside them) has at
-    least the share of those that are misnamed. Where the test finds no gap it has the probability
-    that one acts which hides in these data, at even odds of an effect and of none before them.
+    least the share of those that are misnamed. Where the test finds no gap, one that hides is as
+    probable as none.
     """
     found = _judged(report)
     if found is None:
-        hidden = hiding_probability(report.left)
-        return {NONE: 1.0 - hidden, OTHER: hidden}
+        return {NONE: 0.5, OTHER: 0.5}
     shares = dict(found.posterior)
     known = 1.0 - shares.get(OTHER, 0.0)
     if known > 0.0 and 1.0 - known < _MISNAMED:
@@ -251,14 +250,21 @@ def hidden_effects(report: GapReport) -> tuple[Hidden, ...]:
 
 
 def _hidden(effect: Effect, left: Adequacy, fit: ModelFit, gel: Sequence[str]) -> Hidden:
-    """What would hide of one effect beside a fit."""
-    visible = _visible_start(effect, left)
-    if visible is None:
+    """What would hide of one effect beside a fit: of the start that shows in the middle of all."""
+    beside = left.line.project_out(left.beside[effect.name]).norm(dim=1)
+    rows = left.directions[effect.name]
+    known = torch.nonzero(beside > 0.0)[:, 0]
+    blocks = [b for b in left.test.blocks if b.name == effect.name]
+    if not len(known) or not blocks:
         return Hidden(effect.name, None, {})
-    place, times = visible
+    place = int(known[beside[known].argsort()[len(known) // 2]])
+    # the noncentrality with which a test of this rank and level finds a signal with FOUND
+    rank = blocks[0].rank
+    least = chdtri(rank, LEVEL / len(left.test.blocks))
+    needed = float(chndtrinc(least, rank, 1.0 - FOUND)) ** 0.5
+    times = needed / float(beside[place])
     plausible = times <= _PLAUSIBLE
-    change = left.directions[effect.name][place]
-    shift = (times if plausible else 1.0) * (left.line.to_shift @ change)[: len(fit.mean)]
+    shift = (times if plausible else 1.0) * (left.line.to_shift @ rows[place])[: len(fit.mean)]
     moved = torch.stack((fit.mean, fit.mean + shift))
     before, after = fit.prior.physical(fit.prior.unwhitened(moved))
     relative = (after / before - 1.0).tolist()
@@ -268,31 +274,3 @@ def _hidden(effect: Effect, left: Adequacy, fit: ModelFit, gel: Sequence[str]) -
         times * abs(effect.starts[place][0]) if plausible else None,
         {name: relative[fit.prior.names.index(name)] for name in names},
     )
-
-
-def _visible_start(effect: Effect, left: Adequacy) -> tuple[int, float] | None:
-    """Of one effect beside a fit, the start that shows in the middle of all, and how many times its
-    size a test finds with ``FOUND``; None where no start shows.
-    """
-    beside = left.line.project_out(left.beside[effect.name]).norm(dim=1)
-    known = torch.nonzero(beside > 0.0)[:, 0]
-    blocks = [b for b in left.test.blocks if b.name == effect.name]
-    if not len(known) or not blocks:
-        return None
-    place = int(known[beside[known].argsort()[len(known) // 2]])
-    # the noncentrality with which a test of this rank and level finds a signal with FOUND
-    rank = blocks[0].rank
-    least = chdtri(rank, LEVEL / len(left.test.blocks))
-    needed = float(chndtrinc(least, rank, 1.0 - FOUND)) ** 0.5
-    return place, needed / float(beside[place])
-
-
-def hiding_probability(left: Adequacy) -> float:
-    """Probability that one of the effects acts and hides where a test finds none, at even odds of
-    that and of no effect before the data; sizes are normal, with the usual ones as standard
-    deviations.
-    """
-    shown = [_visible_start(effect, left) for effect in left.effects]
-    sizes = [math.inf if start is None else start[1] for start in shown]
-    hides = sum(math.erf(size / math.sqrt(2.0)) for size in sizes) / len(sizes)
-    return hides / (1.0 + hides)

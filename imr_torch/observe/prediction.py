@@ -12,7 +12,7 @@ number of shots.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache, partial
 
 import numpy as np
@@ -44,6 +44,7 @@ def predict(
     *,
     times: ExperimentFrames | None = None,
     bundled: bool = False,
+    kept: "NodeTimes | None" = None,
 ) -> Frames:
     """What the camera would see of each gel in each experiment.
 
@@ -56,6 +57,9 @@ def predict(
         times: measured, dimensionless, increasing; those of the frames when not given.
         bundled: whether the last batch dimension holds the members of a bundle
             (:meth:`imr_torch.simulate.Simulator.bundle`), the leader first.
+        kept: collapse times of the last call, for the same simulator and experiments. Where given,
+            times are right to 3e-5 and not to 2e-6, so that no differences can be taken, and gels
+            of the last call are not simulated again; not for bundles.
 
     Returns:
         ``batch_shape x E x T`` tensor, R/Rmax with the measured Rmax; NaN rows where a solve
@@ -87,7 +91,8 @@ def predict(
             gels = with_own(parameters, film.between, shifts[..., rows[0], len(NUISANCES) :])
         common = (simulator, gels, designs[rows])
         if bool(film.collapse[rows[0]]):
-            found = predict_collapse(*common, film.mean[rows, 0], own, bundled=bundled)
+            near = film.mean[rows, 0]
+            found = predict_collapse(*common, near, own, bundled=bundled, kept=kept)
             parts.append(found[..., None].expand(*found.shape, times.shape[-1]))
         else:
             parts.append(_predict_radii(*common, times[rows], own, bundled, film.exposures[rows]))
@@ -262,6 +267,7 @@ def predict_collapse(
     shifts: Float[Tensor, "*#batch experiments 3"] | None = None,
     *,
     bundled: bool = False,
+    kept: "NodeTimes | None" = None,
     nodes: tuple[int, int] = (4, 3),
 ) -> Float[Tensor, "*#batch experiments"]:
     """Collapse times that would be measured of each gel in each shot: ``batch_shape x E``,
@@ -274,36 +280,65 @@ def predict_collapse(
         measured: measured times; a collapse is looked for up to two and a half times as late.
         shifts: nuisances in physical size.
         bundled: as for :func:`imr_torch.observe.predict`.
+        kept: the same.
         nodes: along ln We and R_inf*, at which the times of more shots than nodes are simulated; of
             a gel that collapses freely, times are right to 5e-5.
     """
     instant = measured.new_zeros(1)
     truth = _find_truth(simulator, parameters, designs, measured[:, None], shifts, instant)
+    simulate = partial(_simulate_collapses, simulator, bundled=bundled, precise=kept is None)
     if truth.designs.shape[-2] > math.prod(nodes):
         found = _interpolate_collapses(
-            simulator, parameters, truth.designs, measured, bundled, nodes
+            simulate, parameters, truth.designs, designs, measured, bundled, kept, nodes
         )
     else:
-        found = _simulate_collapses(simulator, parameters, truth.designs, measured, bundled)
+        found = simulate(parameters, truth.designs, measured)
     return truth.measured_times(found)
+
+
+@dataclass(eq=False)
+class NodeTimes:
+    """Collapse times at nodes, of the gels that were asked for last.
+
+    Args:
+        asked: gels, nodes and times about which collapses were looked for.
+        times: of each gel at each node.
+    """
+
+    asked: tuple[Tensor, ...] = ()
+    times: Tensor = field(default_factory=partial(torch.zeros, 0))
+
+    def find_times(self, simulate: Callable[..., Tensor], *asked: Tensor) -> Tensor:
+        """The times, simulated if they are not known."""
+        if not self.asked or not all(map(torch.equal, asked, self.asked)):
+            self.times = simulate(*asked)
+            self.asked = asked
+        return self.times
 
 
 @cache
 def _collapse_times_looked_at() -> tuple[Tensor, Tensor, Tensor]:
-    """Output times, over the measured collapse time: up to 1.3, up to 2.5, and about the collapse.
+    """Output times, over the measured collapse time: up to 1.15, up to 2.5, and about the collapse.
 
     By the first two the minimum is found to 3e-5; the last are 3e-7 apart at their middle, where the
     time is as smooth in the gel as the solver's output.
     """
-    usual = np.append(np.linspace(0.0, 0.7, 40, endpoint=False), np.linspace(0.7, 1.3, 1201)[:-1])
-    late = np.append(usual, np.linspace(1.3, 2.5, 601)[:-1])
+    usual = np.append(np.linspace(0.0, 0.7, 40, endpoint=False), np.linspace(0.7, 1.15, 901)[:-1])
+    later = np.linspace(1.15, 1.3, 300, endpoint=False)
+    late = np.concatenate((usual, later, np.linspace(1.3, 2.5, 601)[:-1]))
     close = 1e-3 * np.sinh(np.linspace(-6.0, 6.0, 201)) / math.sinh(6.0)
     usual, late, close = (torch.from_numpy(x) for x in (usual, late, close))
     return usual, late, close
 
 
 def _simulate_collapses(
-    simulator: Simulator, parameters: Tensor, designs: Tensor, about: Tensor, bundled: bool
+    simulator: Simulator,
+    parameters: Tensor,
+    designs: Tensor,
+    about: Tensor,
+    *,
+    bundled: bool,
+    precise: bool,
 ) -> Tensor:
     """Collapse times ``... x E`` of true designs, looked for about ``E`` times."""
 
@@ -315,6 +350,8 @@ def _simulate_collapses(
     found = find_minima(usual, parameters, designs)
     missing = torch.isnan(found).any(-1)
     found = _replace_times(found, missing, partial(find_minima, late), parameters, designs, bundled)
+    if not (precise or bundled):
+        return found
     lost = torch.isnan(found)
     near = torch.where(lost, about, found)[..., None] + close
     return torch.where(lost, torch.nan, find_minima(near, parameters, designs))
@@ -341,29 +378,35 @@ def _replace_times(
 
 
 def _interpolate_collapses(
-    simulator: Simulator,
+    simulate: Callable[..., Tensor],
     parameters: Tensor,
     designs: Tensor,
+    measured: Tensor,
     about: Tensor,
     bundled: bool,
+    kept: NodeTimes | None,
     nodes: tuple[int, int],
     *,
     steps: tuple[float, float] = (0.05, 0.01),
 ) -> Tensor:
     """The same, interpolated between designs; simulated of gels that collapse at some nodes alone.
 
-    The range of (ln We, R_inf*) is rounded to ``steps``, so that nodes stay.
+    The range of (ln We, R_inf*) is rounded to ``steps``, so that nodes stay, and where times are
+    kept a step wider than that of the measured designs.
     """
-    places = torch.stack((designs[..., 0].log(), designs[..., 1]), -1)
+    places, middles = (torch.stack((x[..., 0].log(), x[..., 1]), -1) for x in (designs, measured))
     step = tensor(steps)
-    low = torch.floor(places.reshape(-1, 2).amin(0) / step) * step
-    half = 0.5 * (torch.ceil(places.reshape(-1, 2).amax(0) / step) * step - low)
+    ends = places.reshape(-1, 2)
+    if kept is not None:
+        ends = torch.cat((ends, middles - step, middles + step))
+    low = torch.floor(ends.amin(0) / step) * step
+    half = 0.5 * (torch.ceil(ends.amax(0) / step) * step - low)
     unit = torch.cartesian_prod(*(torch.from_numpy(chebpts1(n)) for n in nodes))
     at = low + half * (1.0 + unit)
     at[:, 0] = at[:, 0].exp()
     gels, rows = _distinct_gels(parameters, bundled)
     middle = about.mean().expand(len(at))
-    times = _simulate_collapses(simulator, gels, at, middle, bundled)[..., rows, :]
+    times = (kept or NodeTimes()).find_times(simulate, gels, at, middle)[..., rows, :]
     lost = times.isnan()
 
     def find_powers(places: Tensor) -> Tensor:
@@ -374,7 +417,7 @@ def _interpolate_collapses(
     found = (weights * times[..., None, :]).sum(-1)
 
     some = lost.any(-1) & ~lost.all(-1)
-    find_times = partial(_simulate_collapses, simulator, about=about, bundled=bundled)
+    find_times = partial(simulate, about=about)
     return _replace_times(found, some, find_times, parameters, designs, bundled)
 
 

@@ -24,6 +24,7 @@ from imr_torch.assimilate.refit import find_lower_draw
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.float64 import ones
 from imr_torch.observe import ExperimentBatch
+from imr_torch.progress import ProgressLine
 from tests.curved import CurvedSimulator, mean_error, quadrature, sd_error
 from tests.linear import BOTH, NOISE, LinearSimulator, exact, experiments, fit_linear, prior
 
@@ -217,7 +218,7 @@ def test_that_a_model_that_is_improbable_by_its_evidence_alone_gets_one_round():
     assert abs(both["gen_qkv"].cost - both["nhkv"].cost) < 1.0
     tight = replace(both, fits=tuple(replace(fit, chol=0.7 * fit.chol) for fit in both.fits))
     for drop_behind, again in ((2.0, False), (4.0, True)):
-        said: list[str] = []
+        said: list[ProgressLine] = []
         weighted = weigh(
             tight,
             LinearSimulator(),
@@ -228,8 +229,11 @@ def test_that_a_model_that_is_improbable_by_its_evidence_alone_gets_one_round():
         )
         assert (weighted["gen_qkv"].sample.rounds > 1) == again
         assert weighted["nhkv"].sample.rounds > 1
-        assert len(said) == sum(fit.sample.rounds for fit in weighted.fits)
-        assert said[0].step == "NHKV, round 1 of at most 4"
+        assert len(said) == 1 + sum(fit.sample.rounds for fit in weighted.fits)
+        assert said[1].step == "NHKV, round 1 of at most 4"
+        done = [line.part * line.size for line in said]
+        assert done == sorted(set(done))  # in units of what was planned
+        assert said[-1].part == 1.0
 
 
 def test_that_no_round_follows_draws_of_which_too_few_are_effective(simple):

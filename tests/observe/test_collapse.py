@@ -25,7 +25,7 @@ from imr_torch.observe import (
     predict,
 )
 from imr_torch.observe.collapse import serial_correlation
-from imr_torch.observe.prediction import _simulate_bubbles, predict_collapse
+from imr_torch.observe.prediction import NodeTimes, _simulate_bubbles, predict_collapse
 from imr_torch.random import generator
 from imr_torch.simulate import Conditions, PolytropicGas
 from imr_torch.units import Surroundings
@@ -158,6 +158,26 @@ def test_that_a_gel_which_collapses_in_some_shots_alone_is_simulated_and_no_othe
     assert 0 < int(found[1].isnan().sum()) < 30
     nodes = 12
     assert made == [2 * nodes, nodes, 2 * nodes, 30, 30, 30]
+
+
+def test_that_gels_of_the_last_call_are_not_simulated_again(thirty, monkeypatch):
+    """Nor are times made precise; other nuisances of the same gels take the nodes that are kept."""
+    gels = gels_of(mu=[0.1, 0.2])
+    shifts = zeros(2, 30, 3)
+    shifts[1, :, 2] = 0.01
+    calls = []
+    monkeypatch.setattr(
+        "imr_torch.observe.prediction._simulate_bubbles",
+        lambda *args, **options: calls.append(0) or _simulate_bubbles(*args, **options),
+    )
+    kept = NodeTimes()
+    found = [predict_collapse(SIMULATOR, gels, *thirty, s, kept=kept) for s in (None, shifts)]
+    assert len(calls) == 1
+    predict_collapse(SIMULATOR, 1.01 * gels, *thirty, kept=kept)
+    assert len(calls) == 2
+    for times, own in zip(found, (None, shifts), strict=True):
+        precise = predict_collapse(SIMULATOR, gels, *thirty, own)
+        assert 0.0 < float((times - precise).abs().max()) < 1e-4
 
 
 @pytest.mark.parametrize("bundled", [False, True])
