@@ -52,7 +52,7 @@ def characterize_stages(
         again = f" (round {number} of {noise_rounds})" if noise_rounds > 1 else ""
         stages.append(Stage(f"fit with the estimated noise{again}", 0.8, "noise"))
     # of draws of one gel, collapse times are interpolated
-    stages.append(Stage("posterior draws", 6.0 if curves else 2.8, "draws"))
+    stages.append(Stage("posterior draws", 6.0 if curves else 2.0, "draws"))
     stages.append(Stage("fit test", 0.5, "fit test"))
     if population:
         stages.append(Stage("each shot by itself", 5.0, "shots"))
@@ -73,7 +73,7 @@ def diagnose_stages(*, estimate_noise: bool) -> tuple[Stage, ...]:
     return (
         Stage("fit of the base model and test for a gap", 1.0),
         Stage("causes", 7.5 if estimate_noise else 4.0, "effects"),
-        Stage("location, reduction, next design", 4.0 if estimate_noise else 2.0, "location"),
+        Stage("location, reduction, next design", 4.0, "location"),
         Stage("figures", 0.3, "figures"),
     )
 

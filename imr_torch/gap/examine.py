@@ -40,7 +40,7 @@ from imr_torch.unknown import Unknown, choose_shot, infer_unknown
 
 _GRID = (0.15, 0.3, 0.5, 0.75, 0.94, 1.06, 1.25, 1.5, 1.75, 1.94, 2.06, 2.25, 2.6, 3.2, math.inf)
 _LEVEL = 0.01  # of a false onset; that there is a gap at all is not decided here
-_SEARCH = 3.5  # time with a search of designs over that without
+_SEARCH = 2.1  # time with a search of designs over that without
 _NAMED = ("effect", "class")  # verdicts that name a cause
 _SURE = 0.95  # probability of the leading cause from which on no shot is designed
 
@@ -145,7 +145,7 @@ def examine(
         return parts
     searching = _wants_design(report)
     # part of the time until a design is searched
-    judged = 0.25 if searching else 0.9 if report.verdict in _NAMED else 0.6
+    judged = 0.3 if searching else 0.9 if report.verdict in _NAMED else 0.6
     why = "the cause is not sure" if searching else ""
     progress = within(progress, 0.0, 1.0, name=why, size=_SEARCH if searching else 1.0)
     if progress:
@@ -168,7 +168,7 @@ def examine(
             unknown,
             simulator,
             seed,
-            within(progress, judged, 0.98 if searching else judged),
+            within(progress, judged, 0.85 if searching else judged),
         ),
         unknown=unknown,
     )
