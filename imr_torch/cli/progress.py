@@ -52,7 +52,7 @@ def characterize_stages(
         again = f" (round {number} of {noise_rounds})" if noise_rounds > 1 else ""
         stages.append(Stage(f"fit with the estimated noise{again}", 0.8, "noise"))
     # of draws of one gel, collapse times are interpolated
-    stages.append(Stage("posterior draws", 6.0 if curves else 2.8, "draws"))
+    stages.append(Stage("posterior draws", 6.0 if curves else 2.0, "draws"))
     stages.append(Stage("fit test", 0.5, "fit test"))
     if population:
         stages.append(Stage("each shot by itself", 5.0, "shots"))
