@@ -260,7 +260,9 @@ def name_causes(found: Attribution, choice: Choice) -> Finding:
     reason = _reason_for_doubt(found, choice)
     if not reason and len(choice.causes) == 1:
         verdict = "effect"
-        reason = f"With it the model explains the curves ({p_value(p)}); other causes are improbable."
+        reason = (
+            f"With it the model explains the curves ({p_value(p)}); other causes are improbable."
+        )
     elif not reason:
         verdict = "class"
         reason = "These effects explain the data about equally well."
