@@ -73,7 +73,7 @@ def diagnose_stages(*, estimate_noise: bool) -> tuple[Stage, ...]:
     return (
         Stage("fit of the base model and test for a gap", 1.0),
         Stage("causes", 7.5 if estimate_noise else 4.0, "effects"),
-        Stage("location, reduction, next design", 4.0, "location"),
+        Stage("location, reduction, next design", 4.0 if estimate_noise else 2.0, "location"),
         Stage("figures", 0.3, "figures"),
     )
 

@@ -160,7 +160,7 @@ class TellCausesApart:
                 "TellCausesApart chooses one design at a time, since each depends on what the "
                 "last one showed; ask with q = 1."
             )
-        reason = "Fills the space: no cause has to be told from another."
+        reason = "It is far from earlier shots: no cause has to be told from another."
         if situation.batch is None or situation.prior is None:
             reason = "The first shot: there is nothing to tell apart yet."
         else:
@@ -175,7 +175,7 @@ class TellCausesApart:
                 try:
                     return self._apart(report, report.attribution, situation, progress)
                 except (ConvergenceError, InputDataError) as error:
-                    reason = f"Fills the space: {error}"
+                    reason = f"It is far from earlier shots: {error}"
         return replace(SpaceFilling().choose_design(situation), reason=reason)
 
     def _apart(

@@ -52,7 +52,7 @@ class GapReport(Finding):
     >>> shot = laboratory.shoot(torch.tensor([400.0, 0.22], dtype=torch.float64), seed=0)
     >>> report = diagnose([shot], effects=library(["sound_speed"]), simulator=PolytropicSimulator())
     >>> report.found, report.reason
-    (False, 'No block of the gap test rejects the base model.')
+    (False, 'No test of the curves rejects the base model.')
     """
 
     batch: ExperimentBatch
@@ -167,7 +167,7 @@ def diagnose(
         text = f"gap test: {p_value(gap.p_value)}, leading block {gap.blocks[0].name}"
         progress(ProgressLine(text, stage="effects" if gap.found else "figures"))
 
-    found = Finding("none", (), "No block of the gap test rejects the base model.", nothing, null)
+    found = Finding("none", (), "No test of the curves rejects the base model.", nothing, null)
     if not null.certificate.usable:
         reason = f"The base model's fit did not converge: {null.certificate}."
         found = replace(found, verdict="undecided", reason=reason)

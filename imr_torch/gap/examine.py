@@ -40,7 +40,7 @@ from imr_torch.unknown import Unknown, choose_shot, infer_unknown
 
 _GRID = (0.15, 0.3, 0.5, 0.75, 0.94, 1.06, 1.25, 1.5, 1.75, 1.94, 2.06, 2.25, 2.6, 3.2, math.inf)
 _LEVEL = 0.01  # of a false onset; that there is a gap at all is not decided here
-_SEARCH = 2.1  # time with a search of designs over that without
+_SEARCH = 4.0  # time with a search of designs over that without
 _NAMED = ("effect", "class")  # verdicts that name a cause
 _SURE = 0.95  # probability of the leading cause from which on no shot is designed
 

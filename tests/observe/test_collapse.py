@@ -140,44 +140,42 @@ def thirty() -> tuple[torch.Tensor, torch.Tensor]:
     return tensor([shot.design for shot in many]), tensor([shot.time for shot in many])
 
 
-def test_that_a_gel_which_collapses_in_some_shots_alone_is_simulated_and_no_other(
-    thirty, monkeypatch
-):
-    gels = gels_of(mu=[0.1, 0.7])
-    alone = predict_each(gels, *thirty)
-    made = []
+@pytest.fixture
+def made(monkeypatch) -> list[int]:
+    """Bubbles of each simulation."""
+    counts = []
 
     def count_bubbles(*args, **options):
         bubbles = _simulate_bubbles(*args, **options)
-        made.append(bubbles[0].shape[-2] * bubbles[0].shape[0])
+        counts.append(bubbles[0].shape[-2] * bubbles[0].shape[0])
         return bubbles
 
     monkeypatch.setattr("imr_torch.observe.prediction._simulate_bubbles", count_bubbles)
+    return counts
+
+
+def test_that_a_gel_which_collapses_in_some_shots_alone_is_simulated_and_no_other(thirty, made):
+    gels = gels_of(mu=[0.1, 0.7])
     found = predict_collapse(SIMULATOR, gels, *thirty)
+    assert made == [24, 12, 24, 30, 30, 30]  # 12 nodes
+    alone = predict_each(gels, *thirty)
     assert_close(found, alone, rtol=0.0, atol=5e-5, equal_nan=True)
     assert 0 < int(found[1].isnan().sum()) < 30
-    nodes = 12
-    assert made == [2 * nodes, nodes, 2 * nodes, 30, 30, 30]
 
 
-def test_that_gels_of_the_last_call_are_not_simulated_again(thirty, monkeypatch):
-    """Nor are times made precise; other nuisances of the same gels take the nodes that are kept."""
+def test_that_gels_of_the_last_call_are_not_simulated_again_and_no_second_time(thirty, made):
     gels = gels_of(mu=[0.1, 0.2])
     shifts = zeros(2, 30, 3)
     shifts[1, :, 2] = 0.01
-    calls = []
-    monkeypatch.setattr(
-        "imr_torch.observe.prediction._simulate_bubbles",
-        lambda *args, **options: calls.append(0) or _simulate_bubbles(*args, **options),
-    )
     kept = NodeTimes()
-    found = [predict_collapse(SIMULATOR, gels, *thirty, s, kept=kept) for s in (None, shifts)]
-    assert len(calls) == 1
-    predict_collapse(SIMULATOR, 1.01 * gels, *thirty, kept=kept)
-    assert len(calls) == 2
-    for times, own in zip(found, (None, shifts), strict=True):
+    for own in (None, shifts):
+        found = predict_collapse(SIMULATOR, gels, *thirty, own, kept=kept)
+        assert made == [24]
         precise = predict_collapse(SIMULATOR, gels, *thirty, own)
-        assert 0.0 < float((times - precise).abs().max()) < 1e-4
+        assert 0.0 < float((found - precise).abs().max()) < 1e-4
+        del made[1:]
+    predict_collapse(SIMULATOR, 1.01 * gels, *thirty, kept=kept)
+    assert made == [24, 24]
 
 
 @pytest.mark.parametrize("bundled", [False, True])
