@@ -21,7 +21,7 @@ from torch import Tensor
 from benchmarks.gap import closures
 from benchmarks.gap.sets import GEL, draw_designs, draw_log_uniform
 from benchmarks.gap.signals import refit
-from benchmarks.gap.single_curves import FITS, TRUTH, trace
+from benchmarks.gap.single_sets import FITS, TRUTH, trace
 from imr_torch.float64 import arange, ones, rand, randn, zeros
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, TraceSet, prepare
 from imr_torch.observe.nuisance import FLOOR

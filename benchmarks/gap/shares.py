@@ -10,6 +10,7 @@ selection and no random library saw. Random libraries are the placebo of both.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from statistics import median
 
 from benchmarks.gap.verdicts import families
 from benchmarks.records import Figure, Line
@@ -92,7 +93,7 @@ def _tell(found: Shrinkage | None, report: GapReport) -> Line | None:
 def score_parts(lines: Sequence[Line]) -> list[Figure]:
     """All figures of sets that were judged by :func:`judge_parts`."""
     told = [x for x in lines if "with_error" in x]
-    judged = [x for x in told if (x.get("own") or {}).get("share") and x["further"]["share"]]
+    judged = [x for x in told if all((x.get(by) or {}).get("share") for by in ("own", "further"))]
     strong = [x for x in judged if x["explained"] >= STRONG]
     right = [x for x in judged if _holds_truth(x)]
     withheld = [x for x in judged if x["kind"] == "withheld"]
@@ -134,7 +135,7 @@ def _holds_truth(line: Line) -> bool:
 
 
 def _beyond_chance(found: Line) -> float:
-    return float(found["share"][1]) - sorted(found["placebo"])[len(found["placebo"]) // 2]
+    return float(found["share"][1]) - median(found["placebo"])
 
 
 def _score_shares(name: str, lines: Sequence[Line]) -> list[Figure]:

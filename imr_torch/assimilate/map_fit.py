@@ -135,14 +135,14 @@ class _Reports:
         masking: whether searches begin without the frames next to collapses.
         searches: all of them.
         begun: how many have made their first approach.
-        fitted: of each model that is fitted the work: of many starts, few are dropped early.
+        fitted: those whose lowest minimum was found.
     """
 
     progress: Progress
     masking: bool
     searches: Sequence[ModelSearch] = ()
     begun: int = 0
-    fitted: list[float] = field(default_factory=list)
+    fitted: list[ModelSearch] = field(default_factory=list)
     numbers: Iterator[int] = field(default_factory=lambda: itertools.count(1))
 
     def report_step(self, text: str, step: str = "") -> None:
@@ -151,7 +151,7 @@ class _Reports:
         count = len(self.searches)
         if count > 1:
             step = f"{len(self.fitted)} of {count} models fitted"
-            part = sum(self.fitted) / sum(len(one.starts) ** 1.5 for one in self.searches)
+            part = sum(map(_expect_work, self.fitted)) / sum(map(_expect_work, self.searches))
             if self.masking:
                 part = 0.5 * (self.begun / count + part)
         if self.progress:
@@ -163,6 +163,11 @@ class _Reports:
         model = end.near.posterior.prior.material.title
         cost = f"cost {end.cost:.2f} gradient {end.gradient:.1e}"
         self.report_step(f"assimilation: {step}, {model} {cost}", step)
+
+
+def _expect_work(search: ModelSearch) -> float:
+    """Work of a search, over that from one start: of many starts, few are dropped early."""
+    return float(len(search.starts) ** 1.5)
 
 
 def _search_in_turn(reports: _Reports, options: SearchOptions) -> None:
@@ -184,7 +189,7 @@ def _search_in_turn(reports: _Reports, options: SearchOptions) -> None:
     for _, one in sorted(costs, key=lambda pair: (len(pair[1].starts) > 2, pair[0])):
         one.limit = lowest + drop_behind
         one.find_lowest()
-        reports.fitted.append(len(one.starts) ** 1.5)
+        reports.fitted.append(one)
         lowest = min(lowest, one.lowest.cost)
     for one in searches if options.basin_rounds else ():
         one.limit = math.inf
