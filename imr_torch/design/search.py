@@ -73,8 +73,9 @@ class DesignSearch:
         return sum(self.increments)
 
     def to_dict(self, surroundings: Surroundings, *, points: int = 60) -> Document:
-        """JSON-ready: the chosen design, the evaluated ones with their gains, and the map of the
-        surrogate's expected information gain (We, R_inf*, and rows of nats over We).
+        """JSON-ready: the chosen design, at which ends of the space it lies, the evaluated ones with
+        their gains, and the map of the surrogate's expected information gain (We, R_inf*, and rows
+        of nats over We).
 
         Args:
             surroundings: the liquid side, which fixes Rmax of a Weber number.
@@ -94,6 +95,7 @@ class DesignSearch:
             nats = model.posterior(torch.cartesian_prod(weber, rest)).mean
         return {
             "design": design_document(self.recommendation.design, surroundings),
+            "edges": self.optimizer.space.name_edges(self.recommendation.design),
             "evaluations": without_nonfinite(rows)[0],
             "map": {
                 "We": weber.tolist(),

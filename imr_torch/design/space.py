@@ -86,6 +86,27 @@ class DesignSpace:
                 f"R_inf* {list(self.rest_radius)}; shoot inside, or widen the DesignSpace."
             )
 
+    def name_edges(self, design: Design) -> list[str]:
+        """A sentence for each end of the space that a design lies at, beyond which a better one may
+        be.
+
+        >>> from imr_torch.design import DesignSpace
+        >>> DesignSpace().name_edges(tensor([100.0, 0.2]))
+        ['We is the smallest of 100 to 1000: what lies beyond may tell more, if it can be shot.']
+        """
+        low, high = self.bounds
+        near = 0.01 * (high - low)
+        return [
+            f"{name} is the {end} of {float(low[i]):g} to {float(high[i]):g}: what lies beyond may "
+            "tell more, if it can be shot."
+            for i, name in enumerate(DESIGN_NAMES)
+            for end, distance in (
+                ("smallest", design[i] - low[i]),
+                ("largest", high[i] - design[i]),
+            )
+            if distance < near[i]
+        ]
+
     def describe(self, design: Design, surroundings: Surroundings) -> str:
         """A design in laboratory units."""
         radius = float(surroundings.max_radius(design[0]))
@@ -125,6 +146,10 @@ class ListedDesigns(DesignSpace):
         while len(order) < min(count, len(unit)):
             order.append(int(torch.cdist(unit, unit[order]).amin(1).argmax()))
         return self.listed[order]
+
+    def name_edges(self, design: Design) -> list[str]:
+        """None: nothing beyond the list can be set."""
+        return []
 
     def cost(self, designs: Designs) -> Values:
         """Cost of a shot at each design (``n x 2``), as of the nearest that is listed."""

@@ -15,6 +15,8 @@ from imr_torch.design import (
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.float64 import rand, tensor
 from imr_torch.observe import Noise
+from imr_torch.results import document_report, header
+from imr_torch.units import Surroundings
 from tests.design.linear_camera import DESIGNS, ONE, TWO, LinearCamera, acquisition, exact, plan
 from tests.design.test_optimizer import PartlyFailing
 
@@ -42,6 +44,19 @@ def test_that_several_designs_are_found_one_beside_the_other():
     source = torch.Generator().manual_seed(0)
     others = space[0] + (space[1] - space[0]) * rand(40, 3, 2, generator=source)
     assert joint > max(exact(ONE, three, plan()) for three in others) - 0.1
+
+
+def test_that_the_best_design_of_a_small_space_is_said_to_lie_at_its_end():
+    space = DesignSpace((300.0, 330.0), (0.2, 0.21))
+    found = search_design(acquisition(space=space), seed=0, evaluations=10, initial=6)
+    document = found.to_dict(Surroundings(), points=2) | {"eig": 1.0, "eig_sd": 0.1}
+    weber = float(found.recommendation.design[0])
+    low, high = (exact(ONE, tensor([[w, 0.2]]), plan()) for w in space.weber)
+    assert weber == pytest.approx(330.0 if high > low else 300.0, abs=0.3)
+    assert f"We is the {'largest' if high > low else 'smallest'} of 300 to 330" in document_report(
+        header("design") | document
+    )
+    assert not space.name_edges(tensor([315.0, 0.205]))
 
 
 def test_that_pending_designs_are_subtracted_from_what_a_search_reports():
