@@ -64,6 +64,10 @@ _MISNAMED = 0.2
 # (with the power of the tests it would be .26 to .44 for three designs x ten repeats)
 _HIDES = 0.5
 _GENERIC = 30.0  # standard deviations that a stress law or pulse of usual size changes the data by
+_ALIKE = 0.5  # share of the unknown whose gel is that beside a known effect
+# values of what the nearest hypothesis leaves that are independent of one another, since it is smooth:
+# with 12 to 80 of them the same intervals hold the truth of effects that were withheld
+_INDEPENDENT = 20.0
 _KNOTS = arange(0.0, 3.6, 0.3)  # of a smooth error on the phase clock
 _DRAWS = 4000
 
@@ -105,6 +109,10 @@ def model_error(report: GapReport, *, seed: int = 0) -> ModelError:
         count = round(_DRAWS * weight / total)
         if not count:
             continue
+        if name == OTHER and report.steps:
+            alike = _with_known(report, round(_ALIKE * count), source)
+            drawn += alike
+            count -= sum(len(moved) for _, moved in alike)
         if name in (OTHER, SLOW_NOISE):
             budgets = [
                 (fit, math.log(prior), missing_system(left, inside=name == OTHER).solve(size))
@@ -116,10 +124,7 @@ def model_error(report: GapReport, *, seed: int = 0) -> ModelError:
             fit = report.null
             if found is not None:
                 fit = found.fits[found.held.name if name == NONE else name]
-            # the noise inflated to the misfit that is left
-            spread = math.sqrt(overdispersion(fit, report.batch))
-            noise = randn(count, len(fit.mean), generator=source)
-            drawn.append((fit, fit.mean + spread * noise @ fit.chol.mT))
+            drawn.append((fit, _draw(fit, overdispersion(fit, report.batch), count, source)))
     names = report.base.names
     rows = []
     for fit, moved in drawn:
@@ -154,6 +159,29 @@ def _shares(report: GapReport) -> dict[str, float]:
         shares = {name: p * (1.0 - _MISNAMED) / known for name, p in shares.items()}
         shares[OTHER] = _MISNAMED
     return shares
+
+
+def _draw(fit: ModelFit, misfit: float, count: int, source: torch.Generator) -> DrawnControls:
+    """Controls by a fit, its noise inflated to the misfit that is left."""
+    noise = randn(count, len(fit.mean), generator=source)
+    return fit.mean + math.sqrt(misfit) * noise @ fit.chol.mT
+
+
+def _with_known(
+    report: GapReport, count: int, source: torch.Generator
+) -> list[tuple[ModelFit, DrawnControls]]:
+    """Controls by the fits of all hypotheses, in proportion to a likelihood in which what the
+    nearest leaves is noise.
+    """
+    fits = [fit for step in report.steps for fit in step.fits.values() if fit.certificate.usable]
+    misfits = tensor([overdispersion(fit, report.batch) for fit in fits])
+    weights = (-0.5 * _INDEPENDENT * misfits / misfits.min()).softmax(0)
+    picked = torch.multinomial(weights, count, replacement=True, generator=source)
+    return [
+        (fits[number], _draw(fits[number], float(misfits[number]), times, source))
+        for number, times in enumerate(picked.bincount().tolist())
+        if times
+    ]
 
 
 def _with_unknown(

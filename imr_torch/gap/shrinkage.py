@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
-from scipy.special import chdtrc
+from scipy.special import chdtrc, ndtri, stdtrit
 from torch import Tensor
 
 from imr_torch.assimilate.slow_noise import BesideSlowNoise
@@ -41,7 +41,6 @@ from imr_torch.types import Progress, ProgressLine, within
 TURN = 1.5
 """Reading of the phase clock at the first rebound's maximum."""
 _DRAWS = 2000  # of the interval
-_MANY = 5  # curves from which on they are drawn anew; of fewer, the phases of each
 _WIDEST = 2.0  # size of S beyond which the base leaves almost no gap to reduce
 _KNOTS = arange(0.0, 5.0, 0.15)  # of a random function of the phase
 _SMOOTH = 0.3  # its length on the phase clock
@@ -52,8 +51,8 @@ class Shrinkage:
     """How far the gap shrinks on unseen curves.
 
     Args:
-        share: 5, 50, 95 % of ``S``, by the scatter between curves (between phases of a curve where
-            there are fewer than five); None where the directions that are removed leave no gap.
+        share: 5, 50, 95 % of ``S``, by the scatter between curves (between phases of a single
+            one); None where the directions that are removed leave no gap.
         later: the same over the frames after the first rebound's maximum, with what is the curve's
             own fitted before it.
         placebo: ``S`` of each random library, sorted.
@@ -159,14 +158,15 @@ def shrinkage(
 def _interval(
     rows: Float[Tensor, "curves 2 phases"], source: torch.Generator
 ) -> tuple[float, float, float]:
-    """5, 50, 95 % of ``1 - effect / base`` over curves, or over phases of few curves, drawn anew;
-    rows hold squares of the base and of the effect.
+    """5, 50, 95 % of ``1 - effect / base`` over curves, or over the phases of a single one, drawn
+    anew; rows hold squares of the base and of the effect.
 
     One unit fewer than there are is drawn with replacement (Rao & Wu, J. Am. Stat. Assoc. 83,
-    1988). A draw in which the base leaves no gap counts as -1 for the lower bound and as 1 for the
-    upper; none counts as more than 2 in size.
+    1988), and the scatter of so few curves is known badly: quantiles are as far from the middle as
+    Student's t over the normal. A draw in which the base leaves no gap counts as -1 for the lower
+    bound and as 1 for the upper; none counts as more than 2 in size.
     """
-    units = rows.sum(2) if len(rows) >= _MANY else rows.movedim(1, 2).flatten(0, 1)
+    units = rows.sum(2) if len(rows) > 1 else rows[0].mT
     units = units[(units != 0.0).any(1)]
     count = len(units)
     picked = torch.randint(count, (_DRAWS, max(count - 1, 1)), generator=source)
@@ -178,7 +178,10 @@ def _interval(
     high = float(ratio.nan_to_num(nan=1.0).quantile(0.95))
     total = units.sum(0)
     middle = float((1.0 - total[1] / total[0]).clamp(-_WIDEST, _WIDEST))
-    return min(low, middle), middle, max(high, middle)
+    widened = float(stdtrit(max(len(rows) - 1, 1), 0.95) / ndtri(0.95))
+    low = middle - widened * max(middle - low, 0.0)
+    high = middle + widened * max(high - middle, 0.0)
+    return max(low, -_WIDEST), middle, min(high, _WIDEST)
 
 
 def _placebo(

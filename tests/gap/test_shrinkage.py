@@ -131,18 +131,23 @@ def test_that_freedom_alone_earns_nothing(freedom):
     assert max(map(abs, beside)) < 1e-9
 
 
-def test_that_the_interval_covers_the_mean_over_curves():
-    """Of eight curves whose squared gaps scatter, the interval is for the mean over all there are."""
+@pytest.mark.parametrize(("curves", "phases"), [(8, 1), (3, 5), (2, 5)])
+def test_that_the_interval_covers_the_mean_over_curves(curves, phases):
+    """Squared gaps scatter between curves and between phases of a curve; the interval is for the mean
+    over all curves there are.
+    """
     source = generator(0)
     inside = 0
-    for _ in range(200):
-        base = 5.0 + 10.0 * rand(8, generator=source)
-        share = 0.6 + 0.3 * randn(8, generator=source)
-        rows = torch.stack((base, base * (1.0 - share)), 1)[..., None]
+    for _ in range(600):
+        base = 5.0 + 10.0 * rand(curves, phases, generator=source)
+        share = 0.6 + 0.2 * (
+            randn(curves, 1, generator=source) + randn(curves, phases, generator=source)
+        )
+        rows = torch.stack((base, base * (1.0 - share)), 1)
         low, middle, high = _interval(rows, source)
         assert low <= middle <= high
         inside += low <= 0.6 <= high
-    assert 0.83 <= inside / 200 <= 0.95
+    assert 0.83 <= inside / 600 <= 0.95
 
 
 def test_that_words_need_more_than_random_effects_close():
