@@ -75,11 +75,24 @@ def test_that_the_last_sentence_says_what_to_quote(found, change, said):
     assert said in document_page(document).partition("<section>")[0]
 
 
-def test_that_an_undecided_probability_is_quoted_nowhere(found):
+def of_two_models(found, probability, error):
+    """The document of a characterisation whose second model is the first again."""
     document = copy.deepcopy(found)
     document["models"]["newtonian"] = document["models"]["nhkv"]
-    document["model_probabilities"] = {"nhkv": 0.9, "newtonian": 0.1}
-    document["model_probability_errors"] = {"nhkv": 0.87, "newtonian": 0.87}
+    document["model_probabilities"] = {"nhkv": probability, "newtonian": 1.0 - probability}
+    document["model_probability_errors"] = {"nhkv": error, "newtonian": error}
+    return document
+
+
+def test_that_no_probability_is_said_to_be_sure(found):
+    text = document_report(of_two_models(found, 0.99999, 1e-6))
+    assert "probability above 0.999" in text
+    assert "probability below 0.001" in text
+    assert "1.000" not in text
+
+
+def test_that_an_undecided_probability_is_quoted_nowhere(found):
+    document = of_two_models(found, 0.9, 0.87)
     for text in (document_report(document), document_page(document)):
         assert "probability undecided (0.90 +- 0.87; --effort thorough draws more)" in text
         assert "say that too few draws decide between the 2 candidates" in text
