@@ -13,7 +13,9 @@ each effect of the library that the fit does not hold, generic stress laws and p
 outside it smooth errors of the radius and of time, alike in all curves and each curve's own. Each
 is of its usual size, or of three times that where the residual asks for it; misfit that even these
 leave counts as noise. What the gel would absorb of ``B w`` widens its interval, as systematic
-errors do in a budget of uncertainties (JCGM 100:2008, type B).
+errors do in a budget of uncertainties (JCGM 100:2008, type B). That is of first order. How far an
+effect may move the gel beyond it is taken from the library: half of the unknown are the gels beside
+all hypotheses that were fitted, those whose curves come nearest more than others.
 
 A bound by geometry alone stands beside it: an error as large as the residual beyond noise, wholly
 in the direction that moves a parameter most (Plumlee, J. Am. Stat. Assoc. 112, 2017).

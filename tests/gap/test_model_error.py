@@ -1,12 +1,22 @@
 """Parameters with model error against closed forms, and against truths whose effect is withheld."""
 
+import math
+
 import pytest
 import torch
 
 from imr_torch.float64 import eye, tensor
 from imr_torch.gap import diagnose, library
-from imr_torch.gap.model_error import FOUND, hidden_effects, missing_system, model_error
+from imr_torch.gap.hypotheses import overdispersion
+from imr_torch.gap.model_error import (
+    FOUND,
+    _with_known,
+    hidden_effects,
+    missing_system,
+    model_error,
+)
 from imr_torch.material import LIBRARY
+from imr_torch.random import generator
 from tests.gap.synthetic import BASE, DESIGNS, GEL, SIMULATOR, fit, shoot
 
 OFFERED = ["gas_loss", "wall", "sound_speed", "clock", "strain_stiffening"]
@@ -68,6 +78,27 @@ def test_that_they_hold_truths_whose_effect_is_withheld_more_often_than_those_of
             right += bool(low[i] < truth < high[i])
     assert right <= 6
     assert wide >= 13
+
+
+def test_that_half_of_an_unknown_are_the_gels_beside_effects_that_come_near():
+    """In proportion to a likelihood of twenty independent values, and with the misfit as noise."""
+    shots = shoot({"alpha": 0.4}, DESIGNS, repeats=3, end=2.4, seed=3)
+    effects = library([name for name in OFFERED if name != "strain_stiffening"])
+    report = diagnose(shots.experiments, effects=effects, simulator=SIMULATOR, seed=3)
+    assert report.found
+    drawn = {id(known): moved for known, moved in _with_known(report, 20000, generator(0))}
+    every = [known for step in report.steps for known in step.fits.values()]
+    fits = [known for known in every if known.certificate.usable]
+    misfits = [overdispersion(known, report.batch) for known in fits]
+    weights = [math.exp(-10.0 * (misfit / min(misfits) - 1.0)) for misfit in misfits]
+    for known, misfit, weight in zip(fits, misfits, weights, strict=True):
+        share = weight / sum(weights)
+        count = len(drawn.get(id(known), ()))
+        assert count == pytest.approx(20000 * share, abs=4.0 * math.sqrt(20000 * share) + 1.0)
+        if count > 1000:
+            covariance = misfit * known.chol @ known.chol.mT
+            assert torch.allclose(drawn[id(known)].mean(0), known.mean, atol=0.2)
+            assert torch.allclose(drawn[id(known)].mT.cov(), covariance, rtol=0.2, atol=0.02)
 
 
 def test_that_an_effect_of_the_size_that_is_said_is_found_as_often_as_is_said(matched):
