@@ -172,10 +172,10 @@ def _draw(fit: ModelFit, misfit: float, count: int, source: torch.Generator) -> 
 def _with_known(
     report: GapReport, count: int, source: torch.Generator
 ) -> list[tuple[ModelFit, DrawnControls]]:
-    """Controls by the fits of all hypotheses, in proportion to a likelihood in which what the
-    nearest leaves is noise.
+    """Controls by the fits of all hypotheses, those that were given up as they are, in proportion to
+    a likelihood in which what the nearest leaves is noise.
     """
-    fits = [fit for step in report.steps for fit in step.fits.values() if fit.certificate.usable]
+    fits = [fit for step in report.steps for fit in step.fits.values()]
     misfits = tensor([overdispersion(fit, report.batch) for fit in fits])
     weights = (-0.5 * _INDEPENDENT * misfits / misfits.min()).softmax(0)
     picked = torch.multinomial(weights, count, replacement=True, generator=source)

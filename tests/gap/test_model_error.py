@@ -87,8 +87,7 @@ def test_that_half_of_an_unknown_are_the_gels_beside_effects_that_come_near():
     report = diagnose(shots.experiments, effects=effects, simulator=SIMULATOR, seed=3)
     assert report.found
     drawn = {id(known): moved for known, moved in _with_known(report, 20000, generator(0))}
-    every = [known for step in report.steps for known in step.fits.values()]
-    fits = [known for known in every if known.certificate.usable]
+    fits = [known for step in report.steps for known in step.fits.values()]
     misfits = [overdispersion(known, report.batch) for known in fits]
     weights = [math.exp(-10.0 * (misfit / min(misfits) - 1.0)) for misfit in misfits]
     for known, misfit, weight in zip(fits, misfits, weights, strict=True):
