@@ -7,6 +7,7 @@ import torch
 from imr_torch.float64 import arange, linspace, randn
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch
+from imr_torch.random import generator
 from tests.linear import NHKV, NOISE, LinearSimulator, exact, tensor
 
 PART = NHKV.models[0]
@@ -28,7 +29,7 @@ def drifting(seed: int, *, alone: bool = False) -> tuple[ExperimentBatch, torch.
     Returns:
         The curves, and the whitened gel, of each curve where they differ.
     """
-    source = torch.Generator().manual_seed(seed)
+    source = generator(seed)
     gel = randn(4 if alone else 1, 2, generator=source)
     times = linspace(0.05, 2.5, 40)
     clean = Slow()(PART.to_si(gel), tensor(400.0, 0.2), times).radius

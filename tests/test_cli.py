@@ -398,7 +398,7 @@ def test_that_a_reference_case_is_observed_as_published_and_a_gel_of_ones_own_as
     assert (published.repeats, published.nuisance) == (100, Nuisance())
     own = plan_of(build_parser().parse_args(["design", "--models", "nhkv"]))
     assert own.repeats == 10
-    assert bool((own.nuisance.sds() > 0.0).all())
+    assert (own.nuisance.sds() > 0.0).all()
     for gel in (["--case", "soft-pa"], ["--models", "nhkv"]):
         assert plan_of(build_parser().parse_args(["design", *gel, "--repeats", "3"])).repeats == 3
 

@@ -12,10 +12,10 @@ import pytest
 from benchmarks.bad_inputs.trial import Reached, without_fits
 from imr_torch import characterize, example_gel, wide_prior
 from imr_torch.cli import main
-from imr_torch.errors import InputDataError
 from imr_torch.files import check_target, read_json, write_json
 from imr_torch.float64 import zeros
 from imr_torch.material import Belief
+from tests.refusals import refused
 
 EXAMPLE = example_gel()
 QUICK = ["--physics", "polytropic", "--quiet"]
@@ -132,7 +132,7 @@ def test_that_files_have_the_usual_mode_and_devices_and_links_stay(tmp_path):
 def test_that_a_target_that_cannot_be_written_is_refused(tmp_path, monkeypatch, target, message):
     """By every command: tests/bad_input/test_command_line.py."""
     monkeypatch.setattr(os, "access", lambda path, mode: False)  # as root, permissions do not bind
-    with pytest.raises(InputDataError, match=message):
+    with refused(message):
         check_target(tmp_path / target, "--json")
 
 

@@ -74,7 +74,7 @@ def test_which_frames_are_next_to_a_collapse():
     kept = starts.away_from_collapses(arange(10), radius)
     assert kept.tolist() == [True, True, False, False, False, True, True, True, False, False]
     for short in (tensor(1.0, 1.0, 1.0), tensor(1.0, 0.2, 0.9)):
-        assert bool(starts.away_from_collapses(arange(3), short).all())
+        assert starts.away_from_collapses(arange(3), short).all()
 
 
 @dataclass(frozen=True)
@@ -121,4 +121,4 @@ def test_that_no_gel_costs_less_than_a_prediction_that_meets_every_frame():
     gels = torch.cat((zeros(1, 2), randn(50, 2, generator=generator(1))))
     costs = -posterior.log_joint(Point(gels, posterior.mean_nuisances(len(gels))))
     assert float(costs[0]) == pytest.approx(posterior.least_cost, abs=1e-9)
-    assert float(costs[1:].amin()) > posterior.least_cost
+    assert costs[1:].amin() > posterior.least_cost

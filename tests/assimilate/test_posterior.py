@@ -90,11 +90,11 @@ def test_that_a_neighbour_that_fails_tells_nothing_and_the_others_do():
     point = Point(tensor(0.0, 0.0), linear(batch).mean_nuisances())
     whole = linear(batch).neighbourhood(point).slopes
     limited = linear(batch, limit={"G": MEANS["G"] + 1e-9 * SDS["G"]}).neighbourhood(point)
-    assert bool(limited.prediction[1][batch.mask].isnan().all())
+    assert limited.prediction[1][batch.mask].isnan().all()
     assert float(limited.slopes[0][..., 0].abs().max()) == 0.0
     assert_close(limited.slopes[0][..., 1], whole[0][..., 1], rtol=1e-6, atol=1e-9)
     assert_close(limited.slopes[1], whole[1], rtol=1e-6, atol=1e-9)
-    assert bool(torch.isfinite(limited.equations.gel_hessian).all())
+    assert torch.isfinite(limited.equations.gel_hessian).all()
 
 
 def test_that_where_the_bubble_itself_fails_the_log_joint_is_minus_infinity():
@@ -131,8 +131,8 @@ def test_that_the_log_joint_can_be_sampled_by_hamiltonian_monte_carlo():
     gels = posterior.point_at(middle + run.get_samples()["u"] @ chol.mT).gel.flatten(0, 1)
     truth = quadrature(fit, batch, simulator)
     sds = truth.covariance.diagonal().sqrt()
-    assert float(((gels.mean(0) - truth.mean) / sds).abs().max()) < 0.15
-    assert float(((fit.mean - truth.mean) / sds).abs().max()) > 0.2
+    assert ((gels.mean(0) - truth.mean) / sds).abs().max() < 0.15
+    assert ((fit.mean - truth.mean) / sds).abs().max() > 0.2
 
 
 def test_that_a_neighbourhood_of_some_experiments_is_that_of_all_without_the_others():

@@ -18,6 +18,7 @@ from imr_torch.design import (
 from imr_torch.float64 import linspace, ones, rand
 from imr_torch.material import PARAMETERS, Belief
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, SimulatedLaboratory
+from imr_torch.random import generator
 from tests.linear import NHKV, NOISE, LinearSimulator, exact, prior, tensor
 
 SIMULATOR = LinearSimulator()
@@ -78,7 +79,7 @@ def test_4_the_prior_is_not_used_again_with_every_design():
 
 def test_5_the_best_observed_value_does_not_win_by_luck():
     space = DesignSpace()
-    X = rand(12, 2, generator=torch.Generator().manual_seed(0))
+    X = rand(12, 2, generator=generator(0))
     X = space.bounds[0] + (space.bounds[1] - space.bounds[0]) * X
     Y = -((X[:, :1] - 500.0) / 300.0).square()
     lucky = int(Y.argmin())

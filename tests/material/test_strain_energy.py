@@ -14,6 +14,7 @@ from scipy.integrate import quad
 
 from imr_torch.material import MATERIALS, material
 from tests.material.gels import REST, STATES, evaluate, has_memory, values_of
+from tests.tables import for_each
 
 Values = dict[str, float]
 Law = Callable[[float, Values], float]
@@ -61,7 +62,7 @@ def quadrature(
     return quad(integrand, 0.0, 1.0, epsabs=1e-13, epsrel=1e-12, limit=400)[0]
 
 
-@pytest.mark.parametrize("model", WITHOUT_MEMORY.values(), ids=WITHOUT_MEMORY.keys())
+@for_each("model", WITHOUT_MEMORY)
 @pytest.mark.parametrize(("radius", "velocity"), STATES)
 def test_that_the_stress_integral_is_the_quadrature_over_the_gel(model, radius, velocity):
     values = values_of(model)

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from imr_torch.float64 import linspace, rand
 from imr_torch.material import MATERIALS, PARAMETERS, reference_case
+from imr_torch.random import generator
 from imr_torch.simulate import (
     LIQUIDS,
     PRESETS,
@@ -79,7 +80,7 @@ def gel_of(model: str) -> Tensor:
 def draw_bubbles(count: int, seed: int) -> tuple[Tensor, Tensor]:
     """Gels of the paper's prior, ``count x p``, and designs all over its box, ``count x 2``."""
     low, high = tensor([100.0, 0.14], [1000.0, 0.30])
-    unit = rand(count, 2, generator=torch.Generator().manual_seed(seed))
+    unit = rand(count, 2, generator=generator(seed))
     gels = reference_case("stiff-pa").prior.sample(count, seed=seed).parameters
     return gels, low + (high - low) * unit
 

@@ -9,8 +9,9 @@ from torch.testing import assert_close
 from imr_torch.simulate import LIQUIDS, ConstantDensity, Liquid, MieGruneisen, NobleAbel, Tait
 from tests.refusals import refusals
 from tests.simulate.bubble import tensor
+from tests.tables import for_each
 
-ALL = pytest.mark.parametrize("liquid", LIQUIDS.values(), ids=LIQUIDS)
+ALL = for_each("liquid", LIQUIDS)
 COMPRESSIBLE = pytest.mark.parametrize(
     "liquid", [x for x in LIQUIDS.values() if x != ConstantDensity()], ids=lambda x: x.key
 )
