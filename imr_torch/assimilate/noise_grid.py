@@ -116,7 +116,7 @@ class FittedCurves:
             rows = batch.mask & (torch.arange(batch.mask.shape[1]) % stride == 0)
             # shots that are more probably like the others than not; all, if none is
             alike = torch.tensor([e.weight > 0.5 for e in batch.curves])[:, None]
-            rows = rows & alike if bool(alike.any()) else rows
+            rows = rows & alike if alike.any() else rows
             found.append(cls(near, slice(first, end), rows))
         return tuple(found)
 
@@ -232,7 +232,7 @@ class NoiseGrid:
         floors = values[:, 2]
         least = math.log(self.prior.least) - floors.log()
         too_small = log_scales < least
-        if bool(too_small.all()):  # only the error of the solver is left, which is nearly constant
+        if too_small.all():  # only the error of the solver is left, which is nearly constant
             log_scales, too_small = least, floors < floors.max()
         value = torch.where(too_small, -torch.inf, value)
         return torch.stack((value - value.logsumexp(0), log_scales, sds))
