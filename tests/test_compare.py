@@ -13,7 +13,6 @@ import torch
 from imr_torch import float64
 from imr_torch.characterization.compare import compare
 from imr_torch.characterization.saved import SavedCharacterization
-from imr_torch.cli import main
 from imr_torch.material import Belief, TruncatedNormal, wide_prior
 from imr_torch.material.model_belief import add_parameters
 from tests.refusals import refused
@@ -193,11 +192,10 @@ DOCUMENTS = {
 
 
 @pytest.mark.parametrize("name", DOCUMENTS)
-def test_that_files_of_other_kinds_are_named(name, tmp_path, capsys):
+def test_that_files_of_other_kinds_are_named(name, tmp_path, said_by):
     content, message = DOCUMENTS[name]
     (tmp_path / "a.json").write_text(content)
-    assert main(["compare", str(tmp_path / "a.json"), str(tmp_path / "a.json")]) == 2
-    error = capsys.readouterr().err
+    error = said_by(["compare", str(tmp_path / "a.json"), str(tmp_path / "a.json")], 2)
     assert re.search(message, error), error
 
 

@@ -189,7 +189,7 @@ def test_that_a_misfit_gives_no_verdict_and_is_said(tmp_path, capsys):
     assert "gel (-0.4, 0.3, 0.8)" in page
 
 
-def test_that_the_command_writes_what_python_finds(tmp_path, capsys):
+def test_that_the_command_writes_what_python_finds(tmp_path, capsys, said_by):
     paths = []
     for number, datum in enumerate(DATA):
         paths.append(str(tmp_path / f"{number}.json"))
@@ -202,8 +202,7 @@ def test_that_the_command_writes_what_python_finds(tmp_path, capsys):
     text = capsys.readouterr().out
     assert "Shared value of size_drag, drag pressure over R U" in text
     assert text.count("  before: ") == 3
-    assert main(["compare", *paths]) == 2
-    assert "3 results; give two, or --share PARAMETER" in capsys.readouterr().err
+    assert "3 results; give two, or --share PARAMETER" in said_by(["compare", *paths], 2)
 
 
 def test_that_what_cannot_be_shared_is_named():

@@ -32,7 +32,7 @@ class WavySimulator(FormulaSimulator):
 
     fails: bool = False
 
-    def formula(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Tensor:
+    def formula(self, parameters, designs, times):
         gel = torch.zeros_like(times)
         for j, name in enumerate(("G", "mu")):
             size = parameters[:, PARAMETERS.index([name])] / SDS[name]

@@ -112,7 +112,7 @@ def test_that_a_loop_of_ones_own_ends_at_the_most_probable_point():
         members = found.move_members(members)
     x = float(found.mean)
     top = torch.tensor(x).exp()
-    assert abs(x + float((top - 2.0) * top) / 0.01) < 0.02 * float(top**2) / 0.01
+    assert abs(x + ((top - 2.0) * top) / 0.01) < 0.02 * (top**2) / 0.01
     assert found.whitened_step.norm() < 1e-3
 
 

@@ -30,7 +30,7 @@ def test_that_kernels_on_a_single_heavy_point_still_have_a_shape_and_reach_out()
     log_weights = zeros(200)
     log_weights[7] = 500.0
     proposal = Kernels.through_draws(points, log_weights)
-    assert float(effective_size(proposal.weights[:-1])) == pytest.approx(30.0, rel=0.01)
+    assert effective_size(proposal.weights[:-1]) == pytest.approx(30.0, rel=0.01)
     assert proposal.chol.diagonal().min() > 1.0
 
 
@@ -133,7 +133,7 @@ def test_that_draws_correct_the_gaussian_about_the_mode_of_a_skewed_posterior():
         weighted.append((float(sample.mean), float(sample.covariance.sqrt())))
     moments = tensor(*found)
     plain = tensor(*weighted)
-    assert abs(float(mode) - mean) > 0.15 * sd  # what is to be corrected
+    assert abs(mode - mean) > 0.15 * sd  # what is to be corrected
     torch.testing.assert_close(moments.mean(0), tensor(mean, sd), rtol=0.0, atol=0.01 * sd)
     assert (moments.std(0) < 0.8 * plain.std(0)).all()
 
@@ -151,7 +151,7 @@ def test_that_errors_of_moments_are_the_scatter_over_seeds():
             torch.stack([sd_error(s)[1] for s in samples]),
         ),
     ):
-        assert float(value.std()) == pytest.approx(float(error.square().mean().sqrt()), rel=0.25)
+        assert value.std() == pytest.approx(float(error.square().mean().sqrt()), rel=0.25)
 
 
 def test_that_resampling_takes_each_draw_in_proportion_to_its_weight():

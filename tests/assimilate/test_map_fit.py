@@ -21,7 +21,7 @@ from imr_torch.errors import ConvergenceError, ConvergenceWarning, ShapeError
 from imr_torch.float64 import full, linspace, zeros
 from imr_torch.material import PARAMETERS, Belief, TruncatedNormal
 from imr_torch.observe import ExperimentBatch, Noise, Nuisance, SimulatedLaboratory, predict
-from imr_torch.simulate import PolytropicSimulator, Solution
+from imr_torch.simulate import PolytropicSimulator
 from tests.linear import (
     BATCHES,
     BOTH,
@@ -69,7 +69,7 @@ def test_that_the_experiments_own_clock_errors_differ():
     batch = ExperimentBatch((certain[0], uncertain[0], certain[1]), NOISE)
     fit = fit_linear(batch).fits[0]
     assert_exact(fit, exact(NHKV.models[0], batch))
-    assert float(fit.nuisances[[0, 2]].abs().max()) == 0.0
+    assert fit.nuisances[[0, 2]].abs().max() == 0.0
     assert fit.nuisances[1].abs().max() > 0.01
 
 
@@ -176,11 +176,11 @@ class JitterySimulator(LinearSimulator):
         )
         return 1e-3 * torch.sin(phase + 5.0 * times)
 
-    def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+    def __call__(self, parameters, designs, times):
         solution = super().__call__(parameters, designs, times)
         return replace(solution, radius=solution.radius + self.jitter(parameters, times))
 
-    def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+    def bundle(self, parameters, designs, times):
         if not self.lock_step:
             return self(parameters, designs, times)
         solution = super().__call__(parameters, designs, times)
@@ -205,7 +205,7 @@ def test_that_an_integration_error_that_jumps_does_not_keep_a_fit_from_convergin
 class WavySimulator(LinearSimulator):
     """Linear in ``x + 1.5 sin 3x`` for the control ``x`` of the modulus, so that a fit has several minima."""
 
-    def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+    def __call__(self, parameters, designs, times):
         parameters = parameters.clone()
         at = PARAMETERS.index(["G"])[0]
         control = (parameters[..., at] - MEANS["G"]) / SDS["G"]
@@ -385,7 +385,7 @@ class TearingSimulator(LinearSimulator):
     what rounding does to some.
     """
 
-    def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+    def bundle(self, parameters, designs, times):
         solution = self(parameters, designs, times)
         control = (parameters[..., :1, PARAMETERS.index(["G"])[0]] - MEANS["G"]) / SDS["G"]
         radius = torch.where((control > 1.0)[..., None], torch.nan, solution.radius)

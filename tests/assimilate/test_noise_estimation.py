@@ -58,9 +58,9 @@ def test_that_the_scale_is_found_and_intervals_widen_with_it(repeats):
         found.batch.of_frames.noise.sd(tensor(0.5), TIMES).mean()
         / NOISE.sd(tensor(0.5), TIMES).mean()
     )
-    assert float(level) == pytest.approx(3.0, rel=0.15)  # 180 residuals: 5 % by chance
+    assert level == pytest.approx(3.0, rel=0.15)  # 180 residuals: 5 % by chance
     wider = (found["nhkv"].chol.diagonal() / stated["nhkv"].chol.diagonal()).mean()
-    assert float(wider) == pytest.approx(3.0, rel=0.2)
+    assert wider == pytest.approx(3.0, rel=0.2)
 
 
 def test_that_noise_is_estimated_from_repeats_with_gaps_too():

@@ -22,7 +22,7 @@ from imr_torch.float64 import linspace, randn, zeros
 from imr_torch.observe import CollapseTime, Experiment, ExperimentBatch, NoiseLaws, Nuisance
 from imr_torch.random import generator
 from tests.curved import mean_error, sd_error
-from tests.drifting import Slow, assert_that_only_widened_hold, drifting, hold
+from tests.drifting import SLOW, assert_that_only_widened_hold, drifting, hold
 from tests.linear import CORRELATED, NHKV, NOISE, LinearSimulator, exact, experiments, tensor
 from tests.refusals import refused
 
@@ -132,7 +132,7 @@ def test_that_intervals_beside_residuals_that_drift_hold_and_those_of_independen
     inside: dict[str, list[bool]] = {"independent": [], "widened": []}
     for seed in range(25):
         batch, gel = drifting(seed)
-        fits = estimated(batch, Slow(), seed=seed)
+        fits = estimated(batch, SLOW, seed=seed)
         law = fits.batch.noise
         assert (law.correlation_time, law.widened > 1.5) == (0.0, True)
         for kind, one in (("independent", law.of_frames), ("widened", law)):
@@ -144,7 +144,7 @@ def independent(seed: int, repeats: int = 1) -> ExperimentBatch:
     """Two curves of the model that is fitted, of independent frames."""
     source = generator(seed)
     times = linspace(0.05, 2.5, 40)
-    clean = Slow()(PART.to_si(zeros(2)), tensor(400.0, 0.2), times).radius
+    clean = SLOW(PART.to_si(zeros(2)), tensor(400.0, 0.2), times).radius
     rows = [NOISE.draw(clean, times, repeats, generator=source) for _ in range(2)]
     return ExperimentBatch(
         tuple(Experiment(f"{k}", (400.0, 0.2), times, row) for k, row in enumerate(rows)), NOISE
@@ -157,7 +157,7 @@ def test_that_intervals_stay_as_they_are_where_frames_are_independent(repeats, f
     factors = []
     for seed in range(16):
         batch = independent(seed, repeats)
-        fits = estimated(batch, Slow(), seed=seed)
+        fits = estimated(batch, SLOW, seed=seed)
         factors.append(fits.batch.noise.widened)
     assert sorted(factors)[8] < 1.05
     assert sum(factor > 1.3 for factor in factors) <= 2
@@ -172,7 +172,7 @@ def test_that_repeats_tell_a_misfit_from_noise():
     moved = replace(
         batch, experiments=tuple(replace(e, radius=e.radius + bent) for e in batch.experiments)
     )
-    fits = estimated(moved, Slow(), rounds=2)
+    fits = estimated(moved, SLOW, rounds=2)
     level = float(
         fits.batch.of_frames.noise.sd(tensor(0.5), tensor(1.0)) / NOISE.sd(tensor(0.5), tensor(1.0))
     )
@@ -182,7 +182,7 @@ def test_that_repeats_tell_a_misfit_from_noise():
         tensor(0.5), tensor(1.0)
     )
     assert math.isfinite(
-        float(weigh(fits, Slow(), seed=0, noise=noise_nodes(fits, Slow()))["nhkv"].posterior.sds[0])
+        float(weigh(fits, SLOW, seed=0, noise=noise_nodes(fits, SLOW))["nhkv"].posterior.sds[0])
     )
 
 

@@ -44,8 +44,8 @@ def test_that_nuisances_go_along_the_ridge():
     batch = experiments(2, nuisance=nuisance)
     fits = fit_linear(batch, simulator)
     proposal = trace_ridge(fits.fits[0], Posterior(fits.fits[0].prior, batch, simulator))
-    assert float(proposal.weights[0]) < 2e-3
-    assert float(proposal.weights[-2]) < 2e-3
+    assert proposal.weights[0] < 2e-3
+    assert proposal.weights[-2] < 2e-3
     assert weigh(fits, simulator, seed=0).fits[0].sample.reliable
 
 

@@ -4,6 +4,7 @@ independent and under correlated noise.
 
 import pytest
 import torch
+from torch.testing import assert_close
 
 from imr_torch.assimilate import SearchOptions, assimilate_estimating_noise
 from imr_torch.assimilate.spikes import frames_left_out
@@ -59,8 +60,8 @@ def test_that_the_fit_is_that_of_the_curve_without_them():
     good = ExperimentBatch((batch.curves[0].at(kept),), NOISE)
     found = fit(batch)["nhkv"]
     expected = fit(good)["nhkv"]
-    torch.testing.assert_close(found.mean, expected.mean, rtol=0.0, atol=1e-2)
-    torch.testing.assert_close(found.chol, expected.chol, rtol=1e-2, atol=1e-3)
+    assert_close(found.mean, expected.mean, rtol=0.0, atol=1e-2)
+    assert_close(found.chol, expected.chol, rtol=1e-2, atol=1e-3)
     spoilt = fit(batch, rounds=0)["nhkv"]
     assert (spoilt.mean - expected.mean).abs().max() > 0.05
 

@@ -131,7 +131,7 @@ def test_that_kept_nuisances_are_draws_of_their_posterior(simple):
     truth = exact(simple.prior.models[0], simple.batch)
     mean = (sample.weights[:, None, None] * sample.nuisances).sum(0)
     assert_close(mean, truth.nuisances, rtol=0.0, atol=0.1)
-    assert float(sample.nuisances[:, :, 0].abs().max()) == 0.0  # Rmax is known here
+    assert sample.nuisances[:, :, 0].abs().max() == 0.0  # Rmax is known here
 
 
 @pytest.mark.parametrize("bend", [0.0, 0.5, 1.5])
@@ -148,8 +148,8 @@ def test_that_moments_of_a_curved_posterior_equal_quadrature(bend):
     )
     gaussian = ((fit.mean - truth.mean).abs() / sds).max()
     repaired = ((sample.mean - truth.mean).abs() / sds).max()
-    assert float(repaired) < 0.15
-    assert not bend or float(gaussian) > 2.0 * float(repaired)
+    assert repaired < 0.15
+    assert not bend or gaussian > 2.0 * repaired
 
 
 def test_that_quantiles_of_a_curved_posterior_are_those_of_its_draws_and_not_of_a_gaussian():

@@ -33,7 +33,7 @@ def test_data_scatter_about_their_gel_as_the_plan_says():
     standard = (data.radius - seen.radius) / plan.noise.sd(seen.radius, TIMES) * 2.0
     covariance = torch.cov(standard[:, 0].mT)
     assert torch.allclose(covariance.diagonal(), ones(31), atol=0.12)
-    assert float(covariance.diagonal(1).mean()) == pytest.approx(
+    assert covariance.diagonal(1).mean() == pytest.approx(
         float(torch.exp(-(TIMES[1] - TIMES[0]) / 0.1)), abs=0.03
     )
 

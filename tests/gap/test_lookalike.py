@@ -87,7 +87,7 @@ def test_that_the_bayes_factor_averages_to_one_under_a_known_effect():
     found = Likeness(9.0, log_p, full((50,), 0.02))
     log = linspace(-40.0, 0.0, 4001)
     density = tensor([found.bayes_factor(math.exp(x)) for x in log.tolist()]) * log.exp()
-    assert float(torch.trapezoid(density, log)) == pytest.approx(1.0, abs=0.02)
+    assert torch.trapezoid(density, log) == pytest.approx(1.0, abs=0.02)
 
 
 @pytest.fixture(scope="module")

@@ -110,7 +110,7 @@ def test_that_the_time_is_that_of_a_dense_grid(gel):
     for design, time in zip(where, found, strict=True):
         grid = float(time) + linspace(-2e-3, 2e-3, 4001)
         radius = SIMULATOR(parameters, design, grid).radius
-        assert abs(float(grid[radius.argmin()]) - float(time)) < 2e-6
+        assert abs(grid[radius.argmin()] - time) < 2e-6
         assert 0 < int(radius.argmin()) < 4000
 
 
@@ -189,7 +189,7 @@ def test_that_times_of_many_shots_are_those_of_each_by_itself(bundled, thirty):
     alone = predict_each(gels, where, measured, shifts)
     assert (together - alone).abs().max() < 5e-5
     moved, moved_alone = ((times[1] - times[0])[7] for times in (together, alone))
-    assert float(moved) == pytest.approx(float(moved_alone), rel=0.01)
+    assert moved == pytest.approx(float(moved_alone), rel=0.01)
 
 
 def test_that_the_time_is_smooth_in_the_gel():
@@ -213,7 +213,7 @@ def test_that_nuisances_move_the_time_as_another_design_does():
     measured = tensor([0.91])
     found = predict_collapse(SIMULATOR, parameters, where, measured, shifts)
     true = designs((240.0 * 1.02, 0.13 * 0.97 / 1.02))
-    assert float(found) == pytest.approx(
+    assert found == pytest.approx(
         1.02 * float(predict_collapse(SIMULATOR, parameters, true, measured)), rel=1e-7
     )
     impossible = tensor([[-2.0, 0.0, 0.0]])
@@ -229,10 +229,10 @@ def test_that_a_batch_predicts_curves_and_times_each_as_alone():
     alone = predict(SIMULATOR, PARAMETERS.pack(GEL), ExperimentBatch((curve,)))
     assert torch.equal(seen[1], alone[0])
     own = predict_collapse(SIMULATOR, PARAMETERS.pack(GEL), mixed.designs[:1], mixed.mean[:1, 0])
-    assert float(seen[0, 0]) == float(own)
+    assert seen[0, 0] == own
     z = (0.91 - float(own)) / math.hypot(0.002, 0.003)
     expected = -0.5 * z * z - math.log(math.hypot(0.002, 0.003)) - 0.5 * math.log(2.0 * math.pi)
-    assert float(mixed.log_likelihood(seen)[0]) == pytest.approx(expected, rel=1e-9)
+    assert mixed.log_likelihood(seen)[0] == pytest.approx(expected, rel=1e-9)
     assert [e.label for e in mixed.curves] == ["c"]
 
 
@@ -242,7 +242,7 @@ def test_that_serial_correlation_is_seen_and_not_claimed():
     noise = [randn(40, generator=source) for _ in range(300)]
     values = torch.tensor([serial_correlation(x, order) for x in noise])
     assert (values > 2.6).double().mean() < 0.02
-    assert float(values.std()) == pytest.approx(1.0, abs=0.12)
+    assert values.std() == pytest.approx(1.0, abs=0.12)
     assert serial_correlation(torch.sin(order / 4.0), order) > 4.0
 
 

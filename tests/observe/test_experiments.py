@@ -67,7 +67,7 @@ def test_that_the_log_likelihood_is_the_normal_density_of_all_repeats_and_frames
         for j in range(3):
             for e, shot in enumerate(batch.experiments):
                 expected = dense(noise, shot, predicted[i, j, e, : len(shot.times)])
-                assert float(found[i, j, e]) == pytest.approx(expected, rel=1e-8)
+                assert found[i, j, e] == pytest.approx(expected, rel=1e-8)
 
 
 def with_gaps() -> ExperimentBatch:
@@ -90,7 +90,7 @@ def test_that_with_gaps_the_log_likelihood_is_the_density_of_what_was_seen():
             curve = predicted[i, e, : len(shot.times)]
             law = torch.distributions.Normal(curve, batch.noise.sd(curve, shot.times))
             expected = law.log_prob(shot.radius.nan_to_num())[torch.isfinite(shot.radius)].sum()
-            assert float(found[i, e]) == pytest.approx(float(expected), rel=1e-10)
+            assert found[i, e] == pytest.approx(float(expected), rel=1e-10)
 
 
 def test_that_correlated_noise_with_gaps_is_refused_with_the_remedy():
@@ -134,7 +134,7 @@ def test_that_a_failed_prediction_is_impossible_and_its_neighbours_are_not_distu
     broken[0, 1, 2] = torch.nan
     found = batch.log_likelihood(broken)
     sound = batch.log_likelihood(predicted)
-    assert float(found[0, 1]) == -math.inf
+    assert found[0, 1] == -math.inf
     sound[0, 1] = -math.inf
     assert torch.equal(found, sound)
 
@@ -282,7 +282,7 @@ def test_that_slopes_of_the_likelihood_are_as_large_as_the_weight(noise, weight)
         for batch in (plain, counted)
     )
     assert_close(little, weight * full)
-    assert float(counted.log_likelihood(at)[1]) == float(plain.log_likelihood(at)[1])
+    assert counted.log_likelihood(at)[1] == plain.log_likelihood(at)[1]
 
 
 @pytest.mark.parametrize("weight", [0.0, -1.0, 1.5, math.nan])
@@ -298,4 +298,4 @@ def test_that_figures_show_the_noise_of_frames_whatever_a_shot_counts():
     counted = ExperimentBatch((replace(first, weight=0.001), *others))
     at = prediction()
     assert_close(counted.of_frames.sd(at), plain.sd(at), rtol=0.0, atol=0.0)
-    assert float(counted.sd(at)[0, 0] / plain.sd(at)[0, 0]) == pytest.approx(1e3**0.5)
+    assert counted.sd(at)[0, 0] / plain.sd(at)[0, 0] == pytest.approx(1e3**0.5)

@@ -6,6 +6,7 @@ import json
 
 import pytest
 import torch
+from torch.testing import assert_close
 
 from imr_torch import PolytropicSimulator, characterize, load_traces, wide_prior
 from imr_torch.assimilate import SearchOptions
@@ -51,9 +52,7 @@ def test_that_a_known_exposure_averages_as_the_effect_of_that_value_does():
     known = seen(0.04)
     effect = seen(0.0, exposure_blur=0.04)
     assert torch.equal(known, effect)
-    torch.testing.assert_close(
-        known[0], blurred(0.04), rtol=0.0, atol=4e-3
-    )  # eight nodes in a collapse
+    assert_close(known[0], blurred(0.04), rtol=0.0, atol=4e-3)  # eight nodes in a collapse
     sharp = seen(0.0)
     assert (known - sharp).abs().max() > 0.02
 
@@ -63,7 +62,7 @@ def test_that_an_exposure_too_short_to_tell_from_none_is_none():
     tiny = seen(0.0, exposure_blur=1e-17)
     assert torch.equal(tiny, seen(0.0))
     short = seen(0.0, exposure_blur=1e-5)
-    torch.testing.assert_close(short, tiny, rtol=0.0, atol=1e-5)
+    assert_close(short, tiny, rtol=0.0, atol=1e-5)
 
 
 def test_that_each_experiment_has_its_own_exposure():

@@ -161,10 +161,8 @@ def test_that_a_density_with_a_standard_deviation_is_inferred_and_widens_the_gel
     assert known.posterior.keys == ("nhkv",)
     part = uncertain.posterior["nhkv+density"]
     density = part.names.index("density")
-    assert abs(float(part.means[density]) - math.log(1120.0 / 1060.0)) < 3.0 * float(
-        part.sds[density]
-    )
-    assert float(part.sds[density]) < 0.9 * 60.0 / 1060.0  # the curves say something of it
+    assert abs(part.means[density] - math.log(1120.0 / 1060.0)) < 3.0 * part.sds[density]
+    assert part.sds[density] < 0.9 * 60.0 / 1060.0  # the curves say something of it
     exact = known.posterior["nhkv"]
     assert (part.sds[:2] > 1.1 * exact.sds).any()
     document = uncertain.to_dict()

@@ -92,7 +92,7 @@ def test_that_shifts_are_what_they_are_in_metres_and_seconds(shift):
     assert_close(designs, tensor(true_top / scale, true_rest / true_top), rtol=1e-12, atol=0.0)
     expected = (measured_times + shift[1] * top / speed) * speed / true_top
     assert_close(times, expected, rtol=1e-12, atol=0.0)
-    assert float(factor) == pytest.approx(true_top / top)
+    assert factor == pytest.approx(true_top / top)
 
 
 def test_that_displacement_broadcasts_over_members_and_keeps_the_rest_radius_possible():

@@ -139,12 +139,14 @@ class Exact:
         self.variances = torch.stack([x[2].diagonal() for x in found])
 
     def centre(self) -> tuple[Tensor, Tensor]:
-        mean = self.weights @ self.means
-        return mean, (self.weights @ (self.variances + (self.means - mean).square())).sqrt()
+        return self._moments(self.means, self.variances)
 
     def scatter(self) -> tuple[Tensor, Tensor]:
-        mean = self.weights @ self.grid
-        return mean, (self.weights @ (self.grid - mean).square()).sqrt()
+        return self._moments(self.grid)
+
+    def _moments(self, values: Tensor, within: Tensor | float = 0.0) -> tuple[Tensor, Tensor]:
+        mean = self.weights @ values
+        return mean, (self.weights @ (within + (values - mean).square())).sqrt()
 
 
 def fits_of(experiments: list[Experiment], simulator, *, part: ModelBelief = PART, **how):
@@ -228,7 +230,7 @@ def test_that_curved_shots_give_what_quadrature_over_gels_and_scatter_gives():
     mean = float(torch.softmax(total, 0) @ scatters)
     sd = float((torch.softmax(total, 0) @ (scatters - mean).square()).sqrt())
     found = population.found
-    assert abs(float(found.weights @ found.scatter[:, 1]) - mean) < 0.15 * sd
+    assert abs((found.weights @ found.scatter[:, 1]) - mean) < 0.15 * sd
     assert not found.scatter[:, 0].any()
 
 

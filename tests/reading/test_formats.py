@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.io
-import torch
+from torch.testing import assert_close
 
 from imr_torch.errors import InputDataError, UnsupportedError
 from imr_torch.float64 import arange, tensor
@@ -42,16 +42,21 @@ def load_text(
 ) -> TraceSet:
     """What is read of a table, and of the JSON beside it."""
     (folder / name).write_text(text, encoding=encoding)
+    return load_beside(folder / name, beside, **how)
+
+
+def load_beside(path: Path, beside: dict | None, **how) -> TraceSet:
+    """What is read of a file, and of the JSON written beside it."""
     if beside is not None:
-        (folder / name).with_suffix(".json").write_text(json.dumps(beside))
-    return load_traces(folder / name, **how)
+        path.with_suffix(".json").write_text(json.dumps(beside))
+    return load_traces(path, **how)
 
 
 def check(traces, ids: tuple[str, ...]) -> None:
     assert traces.ids == ids
     for trace in traces:
-        torch.testing.assert_close(trace.radius_m, 1e-6 * tensor(RADII), rtol=1e-12, atol=0)
-        torch.testing.assert_close(trace.time_s, 1e-6 * arange(8), rtol=1e-12, atol=1e-20)
+        assert_close(trace.radius_m, 1e-6 * tensor(RADII), rtol=1e-12, atol=0)
+        assert_close(trace.time_s, 1e-6 * arange(8), rtol=1e-12, atol=1e-20)
 
 
 HEADERS = {

@@ -1,17 +1,17 @@
 """MATLAB files in: units, frames, inserted peaks, and which maximum radius belongs to which curve."""
 
-import json
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 import scipy.io
-import torch
+from torch.testing import assert_close
 
 from imr_torch.reading.layout import KNOWN_LAYOUTS, Layout
 from imr_torch.reading.load import load_traces
 from imr_torch.reading.traces import TraceSet
+from tests.reading.test_formats import load_beside
 from tests.refusals import refused
 
 DIMENSIONLESS = KNOWN_LAYOUTS["dimensionless_cells"]
@@ -35,9 +35,7 @@ def load_saved(
 ) -> TraceSet:
     """What is read of variables that MATLAB saved, and of the JSON beside them."""
     scipy.io.savemat(folder / name, content)
-    if beside is not None:
-        (folder / name).with_suffix(".json").write_text(json.dumps(beside))
-    return load_traces(folder / name, **how)
+    return load_beside(folder / name, beside, **how)
 
 
 def dimensionless_file(
@@ -63,14 +61,14 @@ def test_that_dimensionless_cells_of_v73_become_si(shared):
     published = load_traces(shared / "data/gelatin_10pct.csv")
     assert [len(t) for t in traces] == [249] * 4
     for ours, theirs in zip(traces, published, strict=True):
-        torch.testing.assert_close(ours.radius_m, theirs.radius_m, rtol=1e-7, atol=0)
+        assert_close(ours.radius_m, theirs.radius_m, rtol=1e-7, atol=0)
         assert ours.given.max_radius_m == pytest.approx(theirs.given.max_radius_m, rel=1e-12)
         assert ours.given.time_of_max_s == 0.0
         step = ours.time_s.diff().median().item()
         assert step == pytest.approx(4.995e-7, rel=1e-3)
         # The published times were put on exactly 0.5 us; ours use the density and pressure of the
         # layout.
-        torch.testing.assert_close(ours.time_s, theirs.time_s, rtol=2e-3, atol=1e-11)
+        assert_close(ours.time_s, theirs.time_s, rtol=2e-3, atol=1e-11)
     assert "entries 1, 2, 3, 4 are used" in traces.notes[1]
     reasons = [(x.rows, x.reason.split()[0]) for x in traces.left_out]
     assert reasons[:2] == [("29", "fitted"), ("1-7", "radius")]

@@ -85,6 +85,15 @@ def draw_bubbles(count: int, seed: int) -> tuple[Tensor, Tensor]:
     return gels, low + (high - low) * unit
 
 
+def assert_that_rates_are_derivatives(
+    pressure: tuple[Tensor, Tensor, Tensor], time: Tensor, errors: tuple[float, float]
+) -> None:
+    """Of a pressure and its two rates, each rate is what autograd finds of the one before it."""
+    for value, rate, error in zip(pressure, pressure[1:], errors, strict=False):
+        (derivative,) = torch.autograd.grad(value.sum(), time, retain_graph=True)
+        torch.testing.assert_close(rate.detach(), derivative, rtol=1e-12, atol=error)
+
+
 def sampled(pressure: Callable[[np.ndarray], np.ndarray], last: float = 5e-4) -> TabulatedDriving:
     """A pressure (Pa) as a function of time (s), sampled so finely that it is its own spline."""
     times = np.linspace(-2e-5, last, 8001)

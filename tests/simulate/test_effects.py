@@ -263,8 +263,8 @@ def test_that_heat_exchange_leads_from_adiabatic_to_isothermal(factor, exponent)
     assert errors[0] > 2.0 * errors[1] > 4.0 * errors[2]
     assert errors[2] < 5e-3
     exponents = Bubbles.of(steps, DESIGN.expand(3, 2), Conditions()).numbers.exponent
-    assert float(exponents[0]) == 1.3
-    assert float(exponents[2]) == pytest.approx(exponent, abs=4e-3)
+    assert exponents[0] == 1.3
+    assert exponents[2] == pytest.approx(exponent, abs=4e-3)
     assert (exponents.diff() * (exponent - 1.3) > 0.0).all()
 
 
@@ -325,7 +325,7 @@ def test_that_gas_is_lost_along_the_path_below_rest():
     path = math.log(depth) - 2.0 * (1.0 - 1.0 / depth) + 0.5 * (1.0 - 1.0 / depth**2)
     expected = math.exp(-2.0 * eta * path)
     assert depth > 2.0
-    assert float(amount[-1] / amount[0]) == pytest.approx(expected, rel=2e-3)
+    assert amount[-1] / amount[0] == pytest.approx(expected, rel=2e-3)
     assert (amount.diff() < 1e-9).all()
 
 
@@ -342,8 +342,8 @@ def test_that_excess_gas_comes_to_rest_where_its_pressure_balances(excess):
         gel(mu=0.1, excess_gas=excess), tensor(weber, rest), grid(40.0, 3)
     ).radius[-1]
     amount = (1.0 + 1.0 / (weber * rest)) * rest**3 * math.exp(excess)
-    assert float(amount / radius**3 - 1.0 - 1.0 / (weber * radius)) == pytest.approx(0.0, abs=1e-5)
-    assert abs(float(radius) - rest) > 0.05
+    assert amount / radius**3 - 1.0 - 1.0 / (weber * radius) == pytest.approx(0.0, abs=1e-5)
+    assert abs(radius - rest) > 0.05
 
 
 def test_that_hot_contents_press_by_their_mean_temperature_and_come_to_rest_at_r_inf_as_cold_ones_do():
@@ -369,10 +369,10 @@ def test_that_the_profile_of_hot_contents_has_its_mean_temperature(warmth):
     y = 0.5 * (1.0 + nodes)
     tau = warm_profile(y, torch.tensor(warmth, dtype=torch.float64), constants)
     temperature = temperature_of(conductivity_of(tau, constants), constants)
-    assert float((1.5 * weights * y * y / temperature).sum()) == pytest.approx(
+    assert (1.5 * weights * y * y / temperature).sum() == pytest.approx(
         1.0 / (1.0 + warmth), rel=1e-10
     )
-    assert float(warm_profile(torch.tensor(1.0), torch.tensor(warmth), constants)) == 0.0
+    assert warm_profile(torch.tensor(1.0), torch.tensor(warmth), constants) == 0.0
 
 
 def test_that_a_drift_of_r_inf_is_exponential_in_time_and_the_same_for_bubbles_of_any_size():

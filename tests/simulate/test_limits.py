@@ -199,7 +199,7 @@ def test_that_energy_is_kept_when_the_heat_that_leaves_is_counted(vapour):
     accepted = path[:, -1] == ACCEPTED
     states = path[accepted & (times <= 2.0), :-CONTROL]
     times = times[accepted & (times <= 2.0)]
-    assert 1.9 < float(times[-1]) < float(path[-1, -CONTROL])
+    assert 1.9 < times[-1] < path[-1, -CONTROL]
     fields = field.equations.fields(states.T).point
     b, l = field.equations.bubbles, fields.radius / 0.45  # noqa: E741
     vapour_work = float(b.numbers.constant_vapour) * fields.radius**3 / 3.0

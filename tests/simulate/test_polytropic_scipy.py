@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor
+from torch.testing import assert_close
 
 from imr_torch.files import read_json
 from imr_torch.simulate import STEPPINGS, Conditions, PolytropicGas, PolytropicSimulator, Stepping
@@ -40,11 +41,9 @@ def test_that_the_solution_is_scipys(conditions, values, design):
     expected = Reference(conditions, **values).solve(*design, times.numpy())
     solution = PolytropicSimulator(conditions, FINE)(gel(**values), tensor(*design), times)
     assert solution.ok
-    torch.testing.assert_close(solution.radius, torch.tensor(expected[0]), rtol=0.0, atol=1e-6)
+    assert_close(solution.radius, torch.tensor(expected[0]), rtol=0.0, atol=1e-6)
     scale = float(np.abs(expected[1]).max())
-    torch.testing.assert_close(
-        solution.velocity, torch.tensor(expected[1]), rtol=0.0, atol=1e-4 * scale
-    )
+    assert_close(solution.velocity, torch.tensor(expected[1]), rtol=0.0, atol=1e-4 * scale)
 
 
 def test_that_the_default_step_is_good_to_the_floor_of_the_noise():
