@@ -70,8 +70,6 @@ class LocalNoise:
     @classmethod
     def of(cls, near: Neighbourhood, laws: Sequence[Noise]) -> "LocalNoise":
         """At one point that was simulated, under laws whose scales are taken as 1."""
-        by_gel, by_nuisance = (x.movedim(-1, 0) for x in near.slopes)
-        columns = torch.cat(((near.posterior.batch.mean - near.centre)[None], by_gel, by_nuisance))
         found = []
         for law in laws:
             batch = replace(
@@ -79,10 +77,10 @@ class LocalNoise:
             )
             sd = batch.sd(near.centre)
             square, normaliser = batch.terms(near.centre, sd, batch.innovations)
-            found.append((square.sum(), normaliser.sum(), batch.whiten(columns, sd)))
+            found.append((square.sum(), normaliser.sum(), batch.whiten(near.columns, sd)))
         square, normaliser, whitened = map(torch.stack, zip(*found, strict=True))
         size = float(near.posterior.batch.sizes.sum())
-        equations = equations_of_columns(whitened, len(by_gel))
+        equations = equations_of_columns(whitened, near.posterior.size)
         return cls(square, normaliser, size, equations, near.point)
 
     def marginal(self, log_scales: Tensor) -> Tensor:

@@ -253,6 +253,13 @@ class Neighbourhood:
         return self.posterior.slopes(self.prediction)
 
     @cached_property
+    def columns(self) -> Float[Tensor, "columns experiments frames"]:
+        """Residual of one point, then its sensitivities to the gel and to the nuisances."""
+        by_gel, by_nuisance = (x.movedim(-1, 0) for x in self.slopes)
+        residual = self.posterior.batch.mean - self.centre
+        return torch.cat((residual[None], by_gel, by_nuisance))
+
+    @cached_property
     def equations(self) -> NormalEquations:
         """Gauss-Newton normal equations at the points, with the exact gradient; an experiment whose
         bubble fails tells nothing.
