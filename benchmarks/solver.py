@@ -27,6 +27,7 @@ import torch
 from benchmarks.records import start_parser
 from imr_torch.float64 import linspace, rand, tensor
 from imr_torch.material import reference_case
+from imr_torch.random import generator
 from imr_torch.simulate import (
     ACCURACIES,
     STEPPINGS,
@@ -42,7 +43,7 @@ TIMES = linspace(0.0, 4.0, 81)
 def draws(count: int, device: str, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
     """Parameters ``count x p`` and designs ``count x 2`` of the benchmark."""
     parameters = reference_case("stiff-pa").prior.sample(count, seed=seed).parameters
-    unit = rand(count, 2, generator=torch.Generator().manual_seed(seed + 1))
+    unit = rand(count, 2, generator=generator(seed + 1))
     low, high = tensor([[100.0, 0.14], [1000.0, 0.30]])
     return parameters.to(device), (low + (high - low) * unit).to(device)
 

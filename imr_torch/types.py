@@ -10,7 +10,7 @@ considered together, ``p`` the length of the parameter vector, ``d`` the free pa
 model, ``E`` experiments, ``T`` or ``n_t`` frames.
 """
 
-from jaxtyping import Bool, Float, Inexact, Real
+from jaxtyping import Bool, Float, Inexact, Int, Real
 from torch import Tensor
 
 # commands import imr_torch.progress itself, which loads no torch
@@ -95,3 +95,39 @@ DatasetValues = Float[Tensor, "data"]
 
 Directions = Float[Tensor, "_ rows"]
 """Directions in the whitened data, one a row."""
+
+Coordinates = Float[Tensor, "coordinates"]
+"""The free parameters of one model and the nuisances of its experiments, as one vector."""
+
+CoordinateMatrix = Float[Tensor, "coordinates coordinates"]
+"""A matrix over them: a covariance, its inverse or its Cholesky factor."""
+
+BatchCoordinates = Float[Tensor, "*batch coordinates"]
+"""A batch of such vectors."""
+
+MemberCoordinates = Float[Tensor, "members coordinates"]
+"""Such a vector of each member of an ensemble."""
+
+Nuisances = Float[Tensor, "experiments nuisances"]
+"""Nuisances of each experiment, or a number of each of them."""
+
+BatchNuisances = Float[Tensor, "*batch experiments nuisances"]
+"""The same of each member of a batch."""
+
+LawValues = Float[Tensor, "laws"]
+"""A number of each noise law."""
+
+RowNumbers = Int[Tensor, "rows"]
+"""Numbers of some rows, such as those of experiments."""
+
+ColumnNumbers = Int[Tensor, "columns"]
+"""Numbers of some columns."""
+
+GelSlopes = Float[Tensor, "*batch experiments frames controls"]
+"""Sensitivities of each frame to the controls."""
+
+NuisanceSlopes = Float[Tensor, "*batch experiments frames nuisances"]
+"""Sensitivities of each frame to the nuisances of its experiment."""
+
+BundleFrames = Float[Tensor, "*batch bundle experiments frames"]
+"""A number of each frame of each bubble of a bundle, of each member of a batch."""

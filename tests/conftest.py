@@ -72,6 +72,19 @@ def rendered():
 
 
 @pytest.fixture
+def said_by(capsys):
+    """What a command says: on its standard output, or on its standard error where it ends with a status other than 0."""
+    from imr_torch.cli import main  # not before shapes are checked
+
+    def run_command(words, status=0):
+        assert main(words) == status
+        said = capsys.readouterr()
+        return said.err if status else said.out
+
+    return run_command
+
+
+@pytest.fixture
 def few_deviations(monkeypatch):
     """See :func:`tests.fewer.sum_few_deviations`."""
     from tests.fewer import sum_few_deviations  # not before shapes are checked

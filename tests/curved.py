@@ -26,7 +26,7 @@ class CurvedSimulator(FormulaSimulator):
     bend: float
     mute: float = 0.4
 
-    def formula(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Tensor:
+    def formula(self, parameters, designs, times):
         g, mu = PARAMETERS.index(["G", "mu"])
         standard = (parameters[..., g] - MEANS["G"]) / SDS["G"]
         shown = parameters.clone()

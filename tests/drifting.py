@@ -4,22 +4,16 @@ from dataclasses import replace
 
 import torch
 
-from imr_torch.float64 import arange, linspace, randn
-from imr_torch.material import PARAMETERS
+from imr_torch.float64 import linspace, randn
 from imr_torch.observe import Experiment, ExperimentBatch
+from imr_torch.random import generator
 from tests.linear import NHKV, NOISE, LinearSimulator, exact, tensor
 
 PART = NHKV.models[0]
 
 
-class Slow(LinearSimulator):
-    """What parameters add changes as slowly as the residuals of a misfit drift."""
-
-    def _columns(self, frames: int, weber: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
-        k = arange(frames)[:, None]
-        j = which.double()
-        units = tensor(*[self.units.get(name, 1.0) for name in PARAMETERS.names])[which]
-        return 0.1 * torch.cos((0.05 + 0.04 * j) * k + j) / units
+SLOW = LinearSimulator(quickness=0.1, by_weber=0.0)
+"""What parameters add changes as slowly as the residuals of a misfit drift."""
 
 
 def drifting(seed: int, *, alone: bool = False) -> tuple[ExperimentBatch, torch.Tensor]:
@@ -28,10 +22,10 @@ def drifting(seed: int, *, alone: bool = False) -> tuple[ExperimentBatch, torch.
     Returns:
         The curves, and the whitened gel, of each curve where they differ.
     """
-    source = torch.Generator().manual_seed(seed)
+    source = generator(seed)
     gel = randn(4 if alone else 1, 2, generator=source)
     times = linspace(0.05, 2.5, 40)
-    clean = Slow()(PART.to_si(gel), tensor(400.0, 0.2), times).radius
+    clean = SLOW(PART.to_si(gel), tensor(400.0, 0.2), times).radius
     noise = replace(NOISE, correlation_time=0.4)
     seen = torch.stack(
         [noise.draw(clean[k % len(gel)], times, 1, generator=source)[0] for k in range(4)]
@@ -45,7 +39,7 @@ def drifting(seed: int, *, alone: bool = False) -> tuple[ExperimentBatch, torch.
 
 def hold(batch: ExperimentBatch, gel: torch.Tensor) -> list[bool]:
     """Whether exact 90 % intervals by the batch's own law hold the gel."""
-    found = exact(PART, batch, Slow())
+    found = exact(PART, batch, SLOW)
     return ((gel - found.mean).abs() < 1.645 * found.covariance.diagonal().sqrt()).tolist()
 
 

@@ -49,11 +49,15 @@ class LinearSimulator(FormulaSimulator):
             parameters' units).
         limit: parameters above these values fail.
         fails: whether everything fails.
+        quickness: factor on how fast the columns change from frame to frame.
+        by_weber: how far they are moved by We.
     """
 
     units: dict[str, float] = field(default_factory=lambda: dict(SDS))
     limit: dict[str, float] = field(default_factory=dict)
     fails: bool = False
+    quickness: float = 1.0
+    by_weber: float = 0.003
     time_slope: float = 0.3
     rest_slope: float = 0.5
 
@@ -66,7 +70,8 @@ class LinearSimulator(FormulaSimulator):
         k = arange(frames)[:, None]
         j = which.double()
         units = tensor(*[self.units.get(name, 1.0) for name in PARAMETERS.names])[which]
-        return 0.1 * torch.cos((0.5 + 0.4 * j) * k + 0.003 * weber[..., None, None] + j) / units
+        moved = self.by_weber * weber[..., None, None]
+        return 0.1 * torch.cos(self.quickness * (0.5 + 0.4 * j) * k + moved + j) / units
 
     def _gel(self, parameters: Tensor, weber: Tensor, frames: int) -> Tensor:
         """What the gel adds, ``n x frames``: once a Weber number, and of parameters that are not
@@ -83,7 +88,7 @@ class LinearSimulator(FormulaSimulator):
             gel[rows] = parameters[rows][:, which] @ own.mT
         return gel
 
-    def formula(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Tensor:
+    def formula(self, parameters, designs, times):
         gel = self._gel(parameters, designs[:, 0], times.shape[-1])
         return 0.6 + self.time_slope * times + self.rest_slope * designs[:, 1:2] + gel
 

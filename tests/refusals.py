@@ -1,10 +1,18 @@
 """Tests that what cannot be is refused, and what is said of it."""
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 
 import pytest
 
 from imr_torch.errors import InputDataError
+
+
+def refused(
+    message: str, error: type[Exception] = InputDataError
+) -> AbstractContextManager[pytest.ExceptionInfo[Exception]]:
+    """Expects that what is done within is refused; ``message`` is a regular expression."""
+    return pytest.raises(error, match=message)
 
 
 def refusals(
@@ -14,7 +22,7 @@ def refusals(
 
     @pytest.mark.parametrize(("call", "message"), rows)
     def refuse(call: Callable[[], object], message: str) -> None:
-        with pytest.raises(error, match=message):
+        with refused(message, error):
             call()
 
     return refuse

@@ -10,7 +10,7 @@ from dataclasses import replace
 from functools import partial
 
 import pytest
-import torch
+from torch.testing import assert_close
 
 import imr_torch.characterization.batch as batch
 from imr_torch import PolytropicSimulator, characterize, float64, wide_prior
@@ -128,9 +128,9 @@ def test_that_a_result_reopens_with_its_posterior_its_draws_and_its_table(shots,
     fit = result.assimilation["nhkv"]
     assert fit.sample is not None
     draws = saved.draws()
-    torch.testing.assert_close(draws.weights, fit.sample.weights)
+    assert_close(draws.weights, fit.sample.weights)
     mean = draws.weights @ draws.values
-    torch.testing.assert_close(mean, result.posterior["nhkv"].means, rtol=0.02, atol=0.0)
+    assert_close(mean, result.posterior["nhkv"].means, rtol=0.02, atol=0.0)
     assert saved.verdict() == fit.verdict.name.lower()
     assert saved.converged() == fit.certificate.converged
     frame = result.to_dataframe()
@@ -326,7 +326,7 @@ COMMAND = [
 ]
 
 
-def test_that_the_command_writes_all_and_tells_of_failures(shots, tmp_path, capsys):
+def test_that_the_command_writes_all_and_tells_of_failures(shots, tmp_path, capsys, said_by):
     out = tmp_path / "out"
     command = [*f"batch {shots} --out {out} --workers 1".split(), *COMMAND]
     command += ["--medium", "density=1060"]
@@ -346,30 +346,26 @@ def test_that_the_command_writes_all_and_tells_of_failures(shots, tmp_path, caps
     }
     assert len(read_json(out / "batch.json")["shots"]) == 4
     (shots / "bad.csv").unlink()
-    assert main(command) == 0
-    assert "3 shot(s): 3 done, 0 not converged, 0 failed" in capsys.readouterr().out
+    assert "3 shot(s): 3 done, 0 not converged, 0 failed" in said_by(command)
     results = [str(out / "shots" / f"gel_{i}.json") for i in (0, 2)]
-    assert main(["compare", *results, "--json", str(tmp_path / "compare.json")]) == 0
+    said = said_by(["compare", *results, "--json", str(tmp_path / "compare.json")])
     found = read_json(tmp_path / "compare.json")
     ratio = f"{found['parameters'][0]['ratio_median']:.3g}"
-    assert f"The gels differ: G of a is {ratio} (90 %: " in capsys.readouterr().out
+    assert f"The gels differ: G of a is {ratio} (90 %: " in said
     assert found["verdict"] == "different"
     assert found["parameters"][0]["ratio_median"] == pytest.approx(0.25, rel=0.1)
 
 
-def test_that_a_scheduler_that_does_not_answer_is_named(shots, tmp_path, capsys, monkeypatch):
+def test_that_a_scheduler_that_does_not_answer_is_named(shots, tmp_path, said_by, monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr("imr_torch.cli.batch.ANSWER_WITHIN", 1)
-    assert (
-        main(
-            [
-                *f"batch {shots} --out {tmp_path}/out --cluster tcp://127.0.0.1:9".split(),
-                *COMMAND,
-            ]
-        )
-        == 2
+    assert "--cluster: no scheduler answers at 'tcp://127.0.0.1:9'" in said_by(
+        [
+            *f"batch {shots} --out {tmp_path}/out --cluster tcp://127.0.0.1:9".split(),
+            *COMMAND,
+        ],
+        2,
     )
-    assert "--cluster: no scheduler answers at 'tcp://127.0.0.1:9'" in capsys.readouterr().err
 
 
 def test_that_no_more_shots_than_the_window_are_in_hand(shots, tmp_path, calls):

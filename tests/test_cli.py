@@ -54,13 +54,12 @@ def test_that_a_result_says_with_which_equation_and_liquid_it_was_made(tmp_path,
     assert "A change of" not in capsys.readouterr().out
 
 
-def test_that_an_ill_conditioned_bubble_says_so(monkeypatch, capsys):
+def test_that_an_ill_conditioned_bubble_says_so(monkeypatch, said_by):
     """Bubbles in which a change grows a thousandfold are driven for long; here the limit is lower."""
     low = functools.partial(explain_growth, limit=1.0)
     monkeypatch.setattr("imr_torch.cli.simulate.explain_growth", low)
     bubble = "simulate --set G=8310,mu=0.093 --physics polytropic --frames 41"
-    assert main(bubble.split()) == 0
-    assert Status.ILL_CONDITIONED.sentence in capsys.readouterr().out
+    assert Status.ILL_CONDITIONED.sentence in said_by(bubble.split())
 
 
 def test_simulate_writes_the_curve_and_a_figure(rendered, tmp_path, capsys):
@@ -178,7 +177,7 @@ def test_campaign_reports_designs_errors_probabilities_intervals_and_cost(simula
 
 
 def test_that_the_page_and_the_figures_of_a_campaign_come_from_its_json_alone(
-    rendered, simulated, tmp_path, capsys
+    rendered, simulated, tmp_path, said_by
 ):
     document = read_json(simulated[1] / "campaign.json")
     assert [curve["number"] for curve in document["curves"]] == [1]
@@ -196,17 +195,16 @@ def test_that_the_page_and_the_figures_of_a_campaign_come_from_its_json_alone(
     assert "<script" not in page
     del document["history"][0]["belief"]
     copy.write_text(json.dumps(document))
-    assert main(["plot", str(copy), "--quiet"]) == 2
-    assert "campaign.json: the result is not whole (KeyError: 'belief')" in capsys.readouterr().err
+    assert "campaign.json: the result is not whole (KeyError: 'belief')" in said_by(
+        ["plot", str(copy), "--quiet"], 2
+    )
 
 
-def test_campaign_does_not_overwrite_and_resumes(simulated, capsys):
+def test_campaign_does_not_overwrite_and_resumes(simulated, said_by):
     arguments, out = simulated
     before = (out / "campaign.json").read_text()
-    assert main(arguments) == 2
-    assert "give --resume to continue it, or another --out" in capsys.readouterr().err
-    assert main([*arguments, "--resume", "--radial", "herring"]) == 2
-    assert "simulator" in capsys.readouterr().err
+    assert "give --resume to continue it, or another --out" in said_by(arguments, 2)
+    assert "simulator" in said_by([*arguments, "--resume", "--radial", "herring"], 2)
     assert main([*arguments, "--resume"]) == 0
     after = read_json(out / "campaign.json")
     first = json.loads(before)
@@ -226,16 +224,14 @@ def test_campaign_shoots_without_a_search_and_stops_when_enough_is_known(tmp_pat
     assert "and NHKV has a probability above 0.99" in (out / "journal.jsonl").read_text()
 
 
-def test_a_real_campaign_asks_learns_from_told_files_and_asks_again(tmp_path, capsys):
+def test_a_real_campaign_asks_learns_from_told_files_and_asks_again(tmp_path, said_by):
     out = tmp_path / "gel"
     told = write_table(shot(), tmp_path / "shot.csv")
     base = f"campaign --models nhkv --evaluations 4 --repeats 1 --out {out}".split() + QUICK
-    assert main(base) == 0
-    first = capsys.readouterr().out
+    first = said_by(base)
     assert "Shoot next: We = " in first
     rest = ["--rest-radius", "0.21:0.005"]
-    assert main([*base, *rest, "--resume", "--tell", str(told)]) == 0
-    second = capsys.readouterr().out
+    second = said_by([*base, *rest, "--resume", "--tell", str(told)])
     assert "1 curve(s)" in second
     assert "Shoot next: We = " in second
     result = read_json(out / "campaign.json")
@@ -247,8 +243,7 @@ def test_a_real_campaign_asks_learns_from_told_files_and_asks_again(tmp_path, ca
     low, _, high = result["intervals"]["nhkv"]["G"]
     assert low < GEL["G"] < high
     ending = real(tmp_path / "other", "--stop", "designs=1", "--tell", told)
-    assert main(ending) == 0
-    assert "Enough: 1 designs were shot" in capsys.readouterr().out
+    assert "Enough: 1 designs were shot" in said_by(ending)
 
 
 def real(out, *more) -> list[str]:
@@ -271,47 +266,46 @@ def belief_of(out):
     return read_json(out / "campaign.json")["belief"]
 
 
-def test_that_resume_learns_what_a_killed_tell_did_not(told_once, tmp_path, capsys):
+def test_that_resume_learns_what_a_killed_tell_did_not(told_once, tmp_path, said_by):
     whole, told = told_once
     out = cut(whole, tmp_path / "gel", 2)
     (out / "campaign.json").unlink()
-    assert main(real(out, "--resume", "--tell", told)) == 2
-    assert "not learnt yet; resuming without telling it again does so" in capsys.readouterr().err
+    assert "not learnt yet; resuming without telling it again does so" in said_by(
+        real(out, "--resume", "--tell", told), 2
+    )
     assert main(real(out, "--resume")) == 0
     assert (out / "journal.jsonl").read_bytes() == (whole / "journal.jsonl").read_bytes()
     assert belief_of(out) == belief_of(whole)
 
 
-def test_that_a_campaign_is_resumed_without_naming_its_models_again(told_once, tmp_path, capsys):
+def test_that_a_campaign_is_resumed_without_naming_its_models_again(told_once, tmp_path, said_by):
     whole, _ = told_once
     out = tmp_path / "gel"
     shutil.copytree(whole, out)
     words = real(out, "--resume")
     at = words.index("--models")
-    assert main(words[:at] + words[at + 2 :]) == 0
-    said = capsys.readouterr().out
+    said = said_by(words[:at] + words[at + 2 :])
     assert "Shoot next: We = " in said
     assert re.search(r"^  G \d.* kPa \(90 %:", said, re.MULTILINE)
 
 
-def test_that_a_campaign_for_a_cause_is_resumed_without_naming_its_goal_again(tmp_path, capsys):
+def test_that_a_campaign_for_a_cause_is_resumed_without_naming_its_goal_again(tmp_path, said_by):
     begun = f"campaign --physics polytropic --seed 2 --out {tmp_path / 'hunt'}".split()
     goal = ["--goal", "cause", "--models", "nhkv", "--effects", "sound_speed,gas_loss"]
-    assert main([*begun, *goal]) == 0
-    first = capsys.readouterr().out
-    assert main([*begun, "--resume"]) == 0
-    said = capsys.readouterr().out
+    first = said_by([*begun, *goal])
+    said = said_by([*begun, "--resume"])
     assert re.findall("Shoot next: .*", said) == re.findall("Shoot next: .*", first) != []
 
 
-def test_that_a_file_is_told_once_and_forgotten_by_its_number(told_once, tmp_path, capsys):
+def test_that_a_file_is_told_once_and_forgotten_by_its_number(told_once, tmp_path, said_by):
     whole, told = told_once
     out = tmp_path / "gel"
     other = write_table(shot(seed=4), tmp_path / "other.csv")
     shutil.copytree(whole, out)
     before = (out / "journal.jsonl").read_bytes()
-    assert main(real(out, "--resume", "--tell", told)) == 2
-    assert "has the curve of experiment 1 ('a')" in (said := capsys.readouterr().err)
+    assert "has the curve of experiment 1 ('a')" in (
+        said := said_by(real(out, "--resume", "--tell", told), 2)
+    )
     assert "--resume --forget 1" in said
     assert (out / "journal.jsonl").read_bytes() == before
     assert main(real(out, "--resume", "--forget", 1, "--tell", other)) == 0
@@ -320,8 +314,7 @@ def test_that_a_file_is_told_once_and_forgotten_by_its_number(told_once, tmp_pat
     assert read_json(out / "campaign.json")["experiments"] == [2]
     assert (out / "curve_002.png").exists()
     assert (out / "journal.jsonl").read_bytes().startswith(before)
-    assert main(real(out, "--resume", "--forget", 1)) == 2
-    assert "There is no experiment 1 to forget" in capsys.readouterr().err
+    assert "There is no experiment 1 to forget" in said_by(real(out, "--resume", "--forget", 1), 2)
 
 
 def radii_above(rows: list[str], largest_um: float) -> list[str]:
@@ -339,19 +332,17 @@ def radii_above(rows: list[str], largest_um: float) -> list[str]:
     ids=["six frames", "cut off by the edge", "no collapse"],
 )
 def test_that_a_told_shot_that_cannot_be_used_is_recorded_as_failed_and_asked_for_again(
-    told_once, tmp_path, capsys, kept, reason
+    told_once, tmp_path, said_by, kept, reason
 ):
     whole, told = told_once
     out = tmp_path / "gel"
     short = tmp_path / "short.csv"
     shutil.copytree(whole, out)
     before = belief_of(out)
-    assert main(real(out, "--resume")) == 0
-    (first,) = re.findall("Shoot next: .*", capsys.readouterr().out)
+    (first,) = re.findall("Shoot next: .*", said_by(real(out, "--resume")))
     header, *rows = told.read_text().splitlines()
     short.write_text("\n".join([header, *kept(rows)]) + "\n")
-    assert main(real(out, "--resume", "--tell", short)) == 0
-    said = capsys.readouterr().out
+    said = said_by(real(out, "--resume", "--tell", short))
     assert re.search(
         rf"short\.csv failed: Experiment 'a' {reason}.* It is recorded as failed", said
     )
@@ -398,7 +389,7 @@ def test_that_a_reference_case_is_observed_as_published_and_a_gel_of_ones_own_as
     assert (published.repeats, published.nuisance) == (100, Nuisance())
     own = plan_of(build_parser().parse_args(["design", "--models", "nhkv"]))
     assert own.repeats == 10
-    assert bool((own.nuisance.sds() > 0.0).all())
+    assert (own.nuisance.sds() > 0.0).all()
     for gel in (["--case", "soft-pa"], ["--models", "nhkv"]):
         assert plan_of(build_parser().parse_args(["design", *gel, "--repeats", "3"])).repeats == 3
 

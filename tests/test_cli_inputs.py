@@ -12,10 +12,10 @@ import pytest
 from benchmarks.bad_inputs.trial import Reached, without_fits
 from imr_torch import characterize, example_gel, wide_prior
 from imr_torch.cli import main
-from imr_torch.errors import InputDataError
 from imr_torch.files import check_target, read_json, write_json
 from imr_torch.float64 import zeros
 from imr_torch.material import Belief
+from tests.refusals import refused
 
 EXAMPLE = example_gel()
 QUICK = ["--physics", "polytropic", "--quiet"]
@@ -40,7 +40,7 @@ def test_that_a_known_parameter_is_not_inferred():
     ids=["when it is read", "when it is prepared"],
 )
 def test_that_one_curve_that_cannot_be_used_is_left_out_as_the_message_says(
-    spoil, tmp_path, capsys
+    spoil, tmp_path, capsys, said_by
 ):
     header, *rows = EXAMPLE.read_text().splitlines()
     first = [row.split(",")[1:] for row in rows if row.startswith("shot_1,")]
@@ -49,15 +49,14 @@ def test_that_one_curve_that_cannot_be_used_is_left_out_as_the_message_says(
     path = tmp_path / "gel.csv"
     path.write_text("\n".join([header, *rows]))
     line = [*f"characterize {path} --models nhkv --medium density=1060".split(), *QUICK]
-    assert main(line) == 2
-    said = capsys.readouterr().err
+    said = said_by(line, 2)
     assert "One of several curves can be left out: --exclude bad" in said
     with without_fits(), pytest.raises(Reached):
         main([*line, *said.split()[-2:]])
     assert "bad" not in capsys.readouterr().out.partition("Curves as they are fitted")[2]
 
 
-def test_that_the_only_curve_of_a_file_can_be_left_out(tmp_path, capsys):
+def test_that_the_only_curve_of_a_file_can_be_left_out(tmp_path, capsys, said_by):
     header, *rows = EXAMPLE.read_text().splitlines()
     files = []
     for name in ("shot_1", "shot_2"):
@@ -69,8 +68,7 @@ def test_that_the_only_curve_of_a_file_can_be_left_out(tmp_path, capsys):
         main([*line, "--exclude", "shot_1"])
     assert "1 curve(s)" in capsys.readouterr().out
     for wrong in ("--exclude=shot_1,shot_2,none", "--experiments=none"):
-        assert main([*line, wrong]) == 2
-        said = capsys.readouterr().err
+        said = said_by([*line, wrong], 2)
         assert "No experiment 'none'" in said
         assert "can be left out" not in said
 
@@ -84,7 +82,7 @@ def test_that_a_fit_keeps_what_is_known_and_takes_the_experiments_that_are_named
     assert list(result["models"]["nhkv"]["intervals"]) == ["G"]
 
 
-def test_that_a_fit_that_has_not_converged_ends_with_its_status(tmp_path, capsys, monkeypatch):
+def test_that_a_fit_that_has_not_converged_ends_with_its_status(tmp_path, said_by, monkeypatch):
     module = sys.modules[characterize.__module__]
     whole = module.assimilate_estimating_noise
 
@@ -96,8 +94,7 @@ def test_that_a_fit_that_has_not_converged_ends_with_its_status(tmp_path, capsys
 
     monkeypatch.setattr(module, "assimilate_estimating_noise", stopped)
     document = tmp_path / "fit.json"
-    assert main([*FIT, "--json", str(document)]) == 1
-    assert "a fit has not converged" in capsys.readouterr().err
+    assert "a fit has not converged" in said_by([*FIT, "--json", str(document)], 1)
     assert document.exists()
 
 
@@ -132,7 +129,7 @@ def test_that_files_have_the_usual_mode_and_devices_and_links_stay(tmp_path):
 def test_that_a_target_that_cannot_be_written_is_refused(tmp_path, monkeypatch, target, message):
     """By every command: tests/bad_input/test_command_line.py."""
     monkeypatch.setattr(os, "access", lambda path, mode: False)  # as root, permissions do not bind
-    with pytest.raises(InputDataError, match=message):
+    with refused(message):
         check_target(tmp_path / target, "--json")
 
 
@@ -148,10 +145,9 @@ def test_that_letters_a_terminal_lacks_do_not_end_the_command(tmp_path):
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
-def test_that_a_full_disk_and_a_closed_pipe_are_said_in_a_line(capsys):
+def test_that_a_full_disk_and_a_closed_pipe_are_said_in_a_line(said_by):
     simulate = ["simulate", "--set", "G=1e4,mu=0.1", "--physics", "polytropic", "--json"]
-    assert main([*simulate, "/dev/full"]) == 1
-    said = capsys.readouterr().err
+    said = said_by([*simulate, "/dev/full"], 1)
     assert "No space left on device" in said
     assert "Traceback" not in said
     command = f"'{sys.executable}' -m imr_torch characterize --help | true"
@@ -159,24 +155,21 @@ def test_that_a_full_disk_and_a_closed_pipe_are_said_in_a_line(capsys):
     assert "Traceback" not in piped.stderr
 
 
-def test_that_an_interruption_is_said_in_a_line(monkeypatch, capsys):
+def test_that_an_interruption_is_said_in_a_line(monkeypatch, said_by):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("imr_torch.cli.characterize.load_traces", interrupted)
-    assert main(FIT) == 130
-    assert capsys.readouterr().err == "imr-torch: stopped; what was written is complete\n"
+    assert said_by(FIT, 130) == "imr-torch: stopped; what was written is complete\n"
 
 
-def test_that_intervals_that_draws_did_not_settle_say_what_to_do(capsys):
+def test_that_intervals_that_draws_did_not_settle_say_what_to_do(said_by):
     both = [
         *f"characterize {EXAMPLE} --models nhkv,zener --noise published".split(),
         *QUICK,
     ]
-    assert main(both) == 0
-    normal = capsys.readouterr().out
-    assert main([*both, "--effort", "thorough"]) == 0
-    thorough = capsys.readouterr().out
+    normal = said_by(both)
+    thorough = said_by([*both, "--effort", "thorough"])
     (line,) = (line for line in normal.splitlines() if "intervals not reliable" in line)
     assert (
         "it has few draws, since it is improbable; more draws: --effort thorough (effort='thorough' in Python)"

@@ -34,15 +34,13 @@ def fit(path: Path, *more: str) -> list[str]:
     ]
 
 
-def test_that_a_stated_density_gives_the_gel_and_another_one_is_inferred(tmp_path, capsys):
+def test_that_a_stated_density_gives_the_gel_and_another_one_is_inferred(tmp_path, capsys, said_by):
     path = write_shot(tmp_path)
     result = tmp_path / "fit.json"
     page = tmp_path / "fit.html"
-    assert (
-        main([*fit(path, "--medium", "density=1150"), *f"--json {result} --html {page}".split()])
-        == 0
+    said = said_by(
+        [*fit(path, "--medium", "density=1150"), *f"--json {result} --html {page}".split()]
     )
-    said = capsys.readouterr().out
     document = read_json(result)
     assert "Medium: density 1150 kg/m^3 (--medium); pressure" in said
     assert document["medium"]["density"] == {
@@ -102,7 +100,7 @@ def test_that_simulate_makes_the_bubble_of_the_medium(tmp_path):
     assert seconds[0] / seconds[1] == pytest.approx(math.sqrt(1150.0 / 1060.0))
 
 
-def test_that_diagnose_fits_in_the_stated_medium(tmp_path, capsys):
+def test_that_diagnose_fits_in_the_stated_medium(tmp_path, said_by):
     path = write_shot(tmp_path)
     result = tmp_path / "gap.json"
     base = [
@@ -111,14 +109,13 @@ def test_that_diagnose_fits_in_the_stated_medium(tmp_path, capsys):
         "--json",
         str(result),
     ]
-    assert main([*base, "--medium", "density=1150"]) == 0
-    assert "Medium: density 1150 kg/m^3 (--medium)" in capsys.readouterr().out
+    assert "Medium: density 1150 kg/m^3 (--medium)" in said_by([*base, "--medium", "density=1150"])
     document = read_json(result)
     assert document["verdict"] == "none"
     assert document["medium"]["density"]["value"] == 1150.0
 
 
-def test_that_a_campaign_is_of_one_medium(tmp_path, capsys):
+def test_that_a_campaign_is_of_one_medium(tmp_path, said_by):
     out = tmp_path / "gel"
     base = f"campaign --models nhkv --policy space-filling --repeats 1 --out {out}".split() + QUICK
     rest = ["--rest-radius", "0.21:0.005"]
@@ -126,15 +123,18 @@ def test_that_a_campaign_is_of_one_medium(tmp_path, capsys):
     start = json.loads((out / "journal.jsonl").read_text().splitlines()[0])
     assert start["note"]["medium"]["density"]["value"] == 1150.0
     assert start["prior"]["models"][0]["model"] == "nhkv+density"
-    assert main([*base, "--resume", "--medium", "density=1100:10"]) == 2
-    assert "another campaign" in (said := capsys.readouterr().err)
+    assert "another campaign" in (
+        said := said_by([*base, "--resume", "--medium", "density=1100:10"], 2)
+    )
     assert "note.medium.density.value" in said
     path = write_shot(tmp_path, {"density": 1150, "temperature": 310})
-    assert main([*base, *rest, *f"--resume --medium density=1150:10 --tell {path}".split()]) == 2
-    assert "this campaign assumed its temperature" in capsys.readouterr().err
+    assert "this campaign assumed its temperature" in said_by(
+        [*base, *rest, *f"--resume --medium density=1150:10 --tell {path}".split()], 2
+    )
     path = write_shot(tmp_path, {"density": 1140})
-    assert main([*base, *rest, *f"--resume --medium density=1150:10 --tell {path}".split()]) == 0
-    assert "Stated twice, density: 1150 +- 10 (--medium) and 1140" in capsys.readouterr().out
+    assert "Stated twice, density: 1150 +- 10 (--medium) and 1140" in said_by(
+        [*base, *rest, *f"--resume --medium density=1150:10 --tell {path}".split()]
+    )
     assert read_json(out / "campaign.json")["medium"]["density"]["sd"] == 10.0
 
 

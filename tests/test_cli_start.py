@@ -61,12 +61,11 @@ def test_that_the_version_is_that_of_the_package(capsys):
     assert capsys.readouterr().out == f"imr-torch {imr_torch.__version__}\n"
 
 
-def test_that_a_checkout_that_is_not_installed_says_so_before_any_work(monkeypatch, capsys):
+def test_that_a_checkout_that_is_not_installed_says_so_before_any_work(monkeypatch, said_by):
     build_parser.cache_clear()
     monkeypatch.setattr("imr_torch.cli.version", lambda name: version(f"{name}-absent"))
-    assert main(["design"]) == 2
     assert (
-        capsys.readouterr().err
+        said_by(["design"], 2)
         == "imr-torch: imr-torch-absent is not installed: run pip install . in its folder.\n"
     )
 
@@ -106,11 +105,10 @@ def test_that_public_names_of_the_package_are_what_their_modules_define():
         imr_torch.charcterize  # noqa: B018
 
 
-def test_that_the_demo_refuses_a_folder_with_files_and_keeps_them(tmp_path, capsys):
+def test_that_the_demo_refuses_a_folder_with_files_and_keeps_them(tmp_path, said_by):
     mine = tmp_path / "thesis.txt"
     mine.write_text("years of work")
-    assert main(["demo", "--out", str(tmp_path)]) == 2
-    assert "--again" in capsys.readouterr().err
+    assert "--again" in said_by(["demo", "--out", str(tmp_path)], 2)
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
     assert mine.read_text() == "years of work"
 
@@ -140,8 +138,7 @@ def test_that_the_demo_passes_options_on_resumes_and_keeps_other_files(
     assert "gel.html" in capsys.readouterr().out
 
 
-def test_that_the_demo_says_which_command_failed(tmp_path, monkeypatch, capsys):
+def test_that_the_demo_says_which_command_failed(tmp_path, monkeypatch, said_by):
     args = f"demo --out {tmp_path}/new --quiet".split()
     monkeypatch.setattr("imr_torch.cli.main", lambda command: 1)
-    assert main(args) == 1
-    assert "ended at command 1 of 2" in capsys.readouterr().err
+    assert "ended at command 1 of 2" in said_by(args, 1)

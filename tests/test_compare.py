@@ -13,10 +13,9 @@ import torch
 from imr_torch import float64
 from imr_torch.characterization.compare import compare
 from imr_torch.characterization.saved import SavedCharacterization
-from imr_torch.cli import main
-from imr_torch.errors import InputDataError
 from imr_torch.material import Belief, TruncatedNormal, wide_prior
 from imr_torch.material.model_belief import add_parameters
+from tests.refusals import refused
 
 PRIOR = wide_prior(["nhkv"])
 TRUSTED = {"verdict": "trusted", "certificate": {"converged": True}}
@@ -193,19 +192,15 @@ DOCUMENTS = {
 
 
 @pytest.mark.parametrize("name", DOCUMENTS)
-def test_that_files_of_other_kinds_are_named(name, tmp_path, capsys):
+def test_that_files_of_other_kinds_are_named(name, tmp_path, said_by):
     content, message = DOCUMENTS[name]
     (tmp_path / "a.json").write_text(content)
-    assert main(["compare", str(tmp_path / "a.json"), str(tmp_path / "a.json")]) == 2
-    error = capsys.readouterr().err
+    error = said_by(["compare", str(tmp_path / "a.json"), str(tmp_path / "a.json")], 2)
     assert re.search(message, error), error
 
 
 def test_that_results_without_a_common_model_are_refused(tmp_path):
     other = wide_prior(["newtonian"])
     document = {"belief": other.to_dict(), "models": {"newtonian": TRUSTED}}
-    with pytest.raises(
-        InputDataError,
-        match=r"has the models nhkv and result newtonian; fit a model to both with --models",
-    ):
+    with refused(r"has the models nhkv and result newtonian; fit a model to both with --models"):
         compare(gel((0.3, 0.0), 0.1), SavedCharacterization.from_dict(document))

@@ -2,10 +2,8 @@
 
 from pathlib import Path
 
-import pytest
-
-from imr_torch.errors import InputDataError
 from imr_torch.observe import READERS, Layout, Reader, TraceSet, load_traces, register_reader
+from tests.refusals import refused
 
 
 def test_that_a_model_and_effects_of_bubble_and_camera_are_added_from_outside(processes):
@@ -32,11 +30,9 @@ def test_that_a_reader_is_asked_first_and_takes_no_layout(tmp_path):
     try:
         load_traces(file)
         assert asked == [file]
-        with pytest.raises(InputDataError, match="is read as 'mine', which takes no layout"):
+        with refused("is read as 'mine', which takes no layout"):
             load_traces(file, layout=Layout("r", radius_unit="um", time="t"))
-        with pytest.raises(
-            InputDataError, match="A reader of the name 'mine' is registered already"
-        ):
+        with refused("A reader of the name 'mine' is registered already"):
             register_reader(Reader("mine", lambda path, head: True, read))
     finally:
         del READERS["mine"]

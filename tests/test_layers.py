@@ -9,9 +9,9 @@ import pytest
 
 import imr_torch
 import imr_torch.simulate
-from imr_torch.errors import InputDataError
 from imr_torch.material import LIBRARY
 from imr_torch.material.effect import give_physics
+from tests.refusals import refused
 
 PACKAGE = Path(imr_torch.__file__).parent
 STAGES = (
@@ -186,7 +186,7 @@ def test_that_effects_of_the_bubble_have_their_physics_once_bubbles_are_simulate
         for effect in of_the_bubble
         if not effect.physical and effect.name not in ("energy_loss", "size_drag")
     ] == []
-    with pytest.raises(InputDataError, match="has no law 'setting' to give"):
+    with refused("has no law 'setting' to give"):
         give_physics("wall", setting=LIBRARY["wall"].setting)
 
 

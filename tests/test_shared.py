@@ -16,7 +16,6 @@ from imr_torch.assimilate import SearchOptions
 from imr_torch.characterization.saved import SavedCharacterization
 from imr_torch.characterization.shared import SharedParameter, infer_shared
 from imr_torch.cli import main
-from imr_torch.errors import InputDataError
 from imr_torch.files import read_json
 from imr_torch.float64 import arange, eye, linspace, tensor, zeros
 from imr_torch.material import Belief, LogNormal, Marginal, TruncatedNormal, wide_prior
@@ -25,6 +24,7 @@ from imr_torch.random import generator
 from imr_torch.results import document_page, header
 from imr_torch.units import Surroundings
 from tests.filmed import film
+from tests.refusals import refused
 
 MODEL = "nhkv+size_drag"
 FREE = TruncatedNormal(0.0, 1e7)
@@ -189,7 +189,7 @@ def test_that_a_misfit_gives_no_verdict_and_is_said(tmp_path, capsys):
     assert "gel (-0.4, 0.3, 0.8)" in page
 
 
-def test_that_the_command_writes_what_python_finds(tmp_path, capsys):
+def test_that_the_command_writes_what_python_finds(tmp_path, capsys, said_by):
     paths = []
     for number, datum in enumerate(DATA):
         paths.append(str(tmp_path / f"{number}.json"))
@@ -202,8 +202,7 @@ def test_that_the_command_writes_what_python_finds(tmp_path, capsys):
     text = capsys.readouterr().out
     assert "Shared value of size_drag, drag pressure over R U" in text
     assert text.count("  before: ") == 3
-    assert main(["compare", *paths]) == 2
-    assert "3 results; give two, or --share PARAMETER" in capsys.readouterr().err
+    assert "3 results; give two, or --share PARAMETER" in said_by(["compare", *paths], 2)
 
 
 def test_that_what_cannot_be_shared_is_named():
@@ -219,9 +218,9 @@ def test_that_what_cannot_be_shared_is_named():
         ([a, gel(DATA[1], ONE_SIDED)], None, "lower=-inf.* and .*lower=0.0.* from one prior"),
         ([a, moved], None, "moved by earlier data, in moved"),
     ):
-        with pytest.raises(InputDataError, match=message):
+        with refused(message):
             infer_shared(results, "size_drag", model=model)
-    with pytest.raises(InputDataError, match="share 'damage'"):
+    with refused("share 'damage'"):
         infer_shared([a, b], "damage")
 
 

@@ -72,13 +72,8 @@ def table(
     def make(here: Path) -> None:
         (here / name).write_bytes(content if isinstance(content, bytes) else content.encode())
         if sidecar is not False:
-            text = (
-                json.dumps(beside())
-                if sidecar is None
-                else sidecar
-                if isinstance(sidecar, str)
-                else json.dumps(sidecar)
-            )
+            said = beside() if sidecar is None else sidecar
+            text = said if isinstance(said, str) else json.dumps(said)
             (here / name).with_suffix(".json").write_text(text)
 
     return make
@@ -97,18 +92,27 @@ def changed(
     return table(text_of(rows if result is None else result), sidecar=sidecar)
 
 
-def scaled(column: int, factor: float, *, sidecar: Any = None) -> Callable[[Path], object]:
-    """The example with a column in another unit."""
+def written(column: int, value: Callable[[int, str], str]) -> Callable[[Path], object]:
+    """The example with another value in a column, of the number of the row and what was there."""
+
+    def change(rows: list[list[str]]) -> None:
+        for number, row in enumerate(rows[1:]):
+            row[column] = value(number, row[column])
+
+    return changed(change)
+
+
+def scaled(*columns: int, by: float, sidecar: Any = None) -> Callable[[Path], object]:
+    """The example with columns in another unit."""
 
     def change(rows: list[list[str]]) -> None:
         for row in rows[1:]:
-            row[column] = repr(factor * float(row[column]))
+            for column in columns:
+                row[column] = repr(by * float(row[column]))
 
     return changed(change, sidecar)
 
 
 def cell(row: int, column: int, value: str) -> Callable[[Path], object]:
-    def change(rows: list[list[str]]) -> None:
-        rows[row][column] = value
-
-    return changed(change)
+    """The example with one value changed; row 1 is the first below the header."""
+    return written(column, lambda number, old: value if number == row - 1 else old)

@@ -17,9 +17,9 @@ ROWS = (
 def collapse_tables() -> Iterator[Case]:
     """Tables of collapse times."""
 
-    def changed(row: int, column: int, value: str) -> Callable[[Path], object]:
+    def changed(column: int, value: str) -> Callable[[Path], object]:
         rows = [list(own) for own in ROWS]
-        rows[row][column] = value
+        rows[0][column] = value
         return written([HEAD, *(",".join(own) for own in rows)])
 
     def written(lines: list[str]) -> Callable[[Path], object]:
@@ -33,13 +33,8 @@ def collapse_tables() -> Iterator[Case]:
         3: ("", "nan", "inf", "0", "-2e-5", "x", "24.5", "2.45e-2", "2.45e-8", "2.45e-4", "1e-400"),
     }.items():
         for value in values:
-            yield Case(
-                "times",
-                f"{HEAD.split(',')[column]} {value!r}",
-                TIMED,
-                "times.csv",
-                changed(0, column, value),
-            )
+            name = f"{HEAD.split(',')[column]} {value!r}"
+            yield Case("times", name, TIMED, "times.csv", changed(column, value))
     for error, values in {
         "collapse_time_sd_s": ("-1e-8", "nan", "x", "inf", "1", "0"),
         "rmax_sd_m": ("-1e-6", "nan", "x", "1"),
@@ -57,54 +52,37 @@ def collapse_tables() -> Iterator[Case]:
         "rows of two lengths": [HEAD, *plain, "d,2e-4,5"],
         "header twice": [HEAD, HEAD, *plain],
     }.items():
-        yield Case("times", f"{name}", TIMED, "times.csv", written(lines))
+        yield Case("times", name, TIMED, "times.csv", written(lines))
     whole = written([HEAD, *plain])
-    said = "--population is about curves, and times.csv holds collapse times"
-    yield Case("times", "--population", (*TIMED, "--population"), said, whole)
-    yield Case("times", "--experiments", (*TIMED, "--experiments=d"), "No experiment 'd'", whole)
-    yield Case("times", "of a medium", (*TIMED, "--medium=water,density=0"), "density", whole)
-    for words in (
-        ("diagnose", "times.csv", *QUICK),
-        ("batch", "times.csv", "--out", "{here}/out", "--workers", "1", *QUICK),
-        ("campaign", *MODELS, "--out", "{here}/gel", "--tell", "times.csv", *QUICK),
+    rest = "--rest-radius=.2:.1"
+    layout = "--layout=radius=R,radius_unit=um,time=t,time_unit=us"
+    for name, option, about in (
+        (
+            "--population",
+            "--population",
+            "--population is about curves, and times.csv holds collapse times",
+        ),
+        ("--experiments", "--experiments=d", "No experiment 'd'"),
+        ("of a medium", "--medium=water,density=0", "density"),
+        ("--layout of times", layout, "--layout"),
+        ("--rest-radius of times", rest, "--rest-radius"),
+        ("--collapses of times", "--collapses=1", "--collapses"),
+        ("--count-all-shots of times", "--count-all-shots", "--count-all-shots"),
     ):
-        yield Case(
-            "times",
-            f"for {words[0]}",
-            words,
-            "shots" if words[0] == "batch" else "times.csv: holds collapse times and no curves",
-            whole,
-        )
+        yield Case("times", name, (*TIMED, option), about, whole)
+    over = (*TIMED, "--json", "{here}/times.csv")
+    yield Case("times", "--json over the times", over, "--json", whole)
+    no_curves = "times.csv: holds collapse times and no curves"
+    for about, words in (
+        (no_curves, ("diagnose", "times.csv", *QUICK)),
+        ("shots", ("batch", "times.csv", "--out", "{here}/out", "--workers", "1", *QUICK)),
+        (no_curves, ("campaign", *MODELS, "--out", "{here}/gel", "--tell", "times.csv", *QUICK)),
+    ):
+        yield Case("times", f"for {words[0]}", words, about, whole)
 
     def both(here: Path) -> None:
         good(here)
         written([HEAD, "shot_1,2.5e-4,5.0,2.45e-5"])(here)
 
-    yield Case(
-        "times",
-        "times of a curve",
-        ("characterize", "gel.csv", "times.csv", *MODELS, *QUICK),
-        "shot_1",
-        both,
-    )
-    yield Case(
-        "times",
-        "--layout of times",
-        (*TIMED, "--layout=radius=R,radius_unit=um,time=t,time_unit=us"),
-        "--layout",
-        whole,
-    )
-    yield Case(
-        "times", "--rest-radius of times", (*TIMED, "--rest-radius=.2:.1"), "--rest-radius", whole
-    )
-    yield Case("times", "--collapses of times", (*TIMED, "--collapses=1"), "--collapses", whole)
-    yield Case(
-        "times",
-        "--count-all-shots of times",
-        (*TIMED, "--count-all-shots"),
-        "--count-all-shots",
-        whole,
-    )
-    yield Case(
-        "times", "--json over the times", (*TIMED, "--json", "{here}/times.csv"), "--json", whole
-    )
+    words = ("characterize", "gel.csv", "times.csv", *MODELS, *QUICK)
+    yield Case("times", "times of a curve", words, "shot_1", both)

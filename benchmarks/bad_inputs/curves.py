@@ -15,6 +15,7 @@ from benchmarks.bad_inputs.case import (
     scaled,
     table,
     text_of,
+    written,
 )
 
 
@@ -26,6 +27,10 @@ def tables() -> Iterator[Case]:
     ) -> Case:
         return Case("table", name, FIT, about, make, **more)
 
+    def lines(line: Callable[[int], str], count: int = 9) -> str:
+        return "".join(f"{line(i)}\n" for i in range(count))
+
+    falling = lines(lambda i: f"{i},{250 - i}")
     texts: dict[str, str | bytes] = {
         "empty": b"",
         "blank": b"\n\n  \n",
@@ -44,17 +49,16 @@ def tables() -> Iterator[Case]:
         "gzip": b"\x1f\x8b\x08\0\0\0\0\0\0\3" + b"abcdefgh",
         "zip": b"PK\3\4" + b"\0" * 60,
         "shell": "#!/bin/sh\nrm -rf x\n",
-        "one column": "R (um)\n" + "".join(f"{250 - i}\n" for i in range(30)),
-        "no units": "t,R\n" + "".join(f"{i},{250 - i}\n" for i in range(30)),
+        "one column": "R (um)\n" + lines(lambda i: f"{250 - i}", 30),
+        "no units": "t,R\n" + lines(lambda i: f"{i},{250 - i}", 30),
         "columns swapped in the header": "experiment_id,radius_m,time_s\n" + text_of(example()[1:]),
         "two columns named alike": "experiment_id,time_s,radius_m,radius_m\n"
-        + "".join(f"a,{i}e-6,1e-4,1e-4\n" for i in range(9)),
-        "time twice": "time_s,time_s,radius_m\n"
-        + "".join(f"{i}e-6,{i}e-6,1e-4\n" for i in range(9)),
+        + lines(lambda i: f"a,{i}e-6,1e-4,1e-4"),
+        "time twice": "time_s,time_s,radius_m\n" + lines(lambda i: f"{i}e-6,{i}e-6,1e-4"),
         "radius and diameter": "t (us),R (um),D (um)\n"
-        + "".join(f"{i},{250 - i},{500 - 2 * i}\n" for i in range(9)),
-        "area": "t (us),area (um^2)\n" + "".join(f"{i},{250 - i}\n" for i in range(9)),
-        "unknown unit": "t (fortnights),R (um)\n" + "".join(f"{i},{250 - i}\n" for i in range(9)),
+        + lines(lambda i: f"{i},{250 - i},{500 - 2 * i}"),
+        "area": "t (us),area (um^2)\n" + falling,
+        "unknown unit": "t (fortnights),R (um)\n" + falling,
         "a million columns": ",".join(f"c{i}" for i in range(200_000)) + "\n",
         "field too long": "experiment_id,time_s,radius_m\na,0," + "1" * 200_000 + "\n",
         "unbalanced quote": text_of(example()).replace("shot_1", '"shot_1', 1),
@@ -98,48 +102,23 @@ def tables() -> Iterator[Case]:
     for value in ("", " ", "\t"):
         yield case(f"experiment {value!r}", cell(10, 0, value))
 
-    def rows(change: Callable[[list[list[str]]], Any]) -> Callable[[Path], object]:
-        return changed(change)
-
-    yield case("times in reverse", rows(lambda r: [r[0], *reversed(r[1:])]))
-    yield case("two rows swapped", rows(lambda r: r.insert(5, r.pop(8))))
-    yield case("a row doubled", rows(lambda r: r.insert(5, r[5])))
-    yield case("whole file doubled", rows(lambda r: r + r[1:]))
-    yield case("all times the same", rows(lambda r: [r[0], *[[x[0], "1e-6", x[2]] for x in r[1:]]]))
-    yield case("all radii the same", rows(lambda r: [r[0], *[[x[0], x[1], "2e-4"] for x in r[1:]]]))
-    yield case("all radii zero", rows(lambda r: [r[0], *[[x[0], x[1], "0"] for x in r[1:]]]))
-    yield case("all radii missing", rows(lambda r: [r[0], *[[x[0], x[1], "nan"] for x in r[1:]]]))
-    yield case(
-        "only growth",
-        rows(lambda r: [r[0], *[[x[0], x[1], repr(1e-5 * (i + 3))] for i, x in enumerate(r[1:])]]),
-    )
-    yield case(
-        "rising for ever",
-        rows(lambda r: [r[0], *[[x[0], x[1], repr(1e-4 + 1e-6 * i)] for i, x in enumerate(r[1:])]]),
-    )
+    yield case("times in reverse", changed(lambda r: [r[0], *reversed(r[1:])]))
+    yield case("two rows swapped", changed(lambda r: r.insert(5, r.pop(8))))
+    yield case("a row doubled", changed(lambda r: r.insert(5, r[5])))
+    yield case("whole file doubled", changed(lambda r: r + r[1:]))
+    yield case("all times the same", written(1, lambda i, old: "1e-6"))
+    for name, radius in {
+        "all radii the same": lambda i, old: "2e-4",
+        "all radii zero": lambda i, old: "0",
+        "all radii missing": lambda i, old: "nan",
+        "only growth": lambda i, old: repr(1e-5 * (i + 3)),
+        "rising for ever": lambda i, old: repr(1e-4 + 1e-6 * i),
+        "every second radius negative": lambda i, old: ("-" if i % 2 else "") + old,
+        "noise alone": lambda i, old: repr(1e-4 * (1 + random.Random(i).random())),
+    }.items():
+        yield case(name, written(2, radius))
     yield case("one frame ten times as large", cell(30, 2, "2.5e-3"))
     yield case("one frame twice as large", cell(30, 2, "5e-4"))
-    yield case(
-        "every second radius negative",
-        rows(
-            lambda r: [
-                r[0],
-                *[[x[0], x[1], ("-" if i % 2 else "") + x[2]] for i, x in enumerate(r[1:])],
-            ]
-        ),
-    )
-    yield case(
-        "noise alone",
-        rows(
-            lambda r: [
-                r[0],
-                *[
-                    [x[0], x[1], repr(1e-4 * (1 + random.Random(i).random()))]
-                    for i, x in enumerate(r[1:])
-                ],
-            ]
-        ),
-    )
     no_rest = {"experiments": [{"experiment_id": "shot_1"}]}
     yield case(
         "no rest radius in a short record", changed(lambda r: r[:24], sidecar=no_rest), about="gel"
@@ -160,35 +139,15 @@ def scales() -> Iterator[Case]:
     def case(name: str, make: Callable[[Path], object], about: str = "shot_1", **more: Any) -> Case:
         return Case("scale", name, FIT, about, make, **more)
 
-    for name, factor in (
-        ("um", 1e6),
-        ("mm", 1e3),
-        ("cm", 1e2),
-        ("nm", 1e9),
-        ("tenth", 0.1),
-        ("hundredth", 0.01),
-    ):
-        yield case(f"radius in {name}", scaled(2, factor))
-    for name, factor in (
-        ("ms", 1e3),
-        ("us", 1e6),
-        ("ns", 1e9),
-        ("ten times", 10.0),
-        ("a tenth", 0.1),
-        ("hundredth", 0.01),
-    ):
-        yield case(f"time in {name}", scaled(1, factor))
-    yield case("diameters", scaled(2, 2.0, sidecar=beside(Rinf_m=8.5e-5)), warned="aution")
-    yield case(
-        "both in um and us",
-        changed(
-            lambda r: [
-                r[0],
-                *[[x[0], repr(1e6 * float(x[1])), repr(1e6 * float(x[2]))] for x in r[1:]],
-            ]
-        ),
-    )
-    yield case("time negative", scaled(1, -1.0))
+    units = {"um": 1e6, "mm": 1e3, "cm": 1e2, "nm": 1e9, "tenth": 0.1, "hundredth": 0.01}
+    for name, factor in units.items():
+        yield case(f"radius in {name}", scaled(2, by=factor))
+    units = {"ms": 1e3, "us": 1e6, "ns": 1e9, "ten times": 10.0, "a tenth": 0.1, "hundredth": 0.01}
+    for name, factor in units.items():
+        yield case(f"time in {name}", scaled(1, by=factor))
+    yield case("diameters", scaled(2, by=2.0, sidecar=beside(Rinf_m=8.5e-5)), warned="aution")
+    yield case("both in um and us", scaled(1, 2, by=1e6))
+    yield case("time negative", scaled(1, by=-1.0))
     yield case("shifted by half a record", changed(lambda r: [r[0], *r[40:]]), warned="aution")
     for field_, value in (
         ("Rmax_m", 385.0), ("Rmax_m", 2.5e-2), ("Rmax_m", 1e-5), ("Rmax_m", 0.0), ("Rmax_m", -1e-4), ("Rmax_m", 5e-4),

@@ -38,31 +38,16 @@ def targets() -> Iterator[Case]:
                     make,
                     status=(1, 2),
                 )
-    yield Case(
-        "target",
-        "campaign --out a file",
-        ("campaign", *MODELS, "--out", "{here}/file", *QUICK),
-        "--out",
-        make,
-    )
-    yield Case(
-        "target",
-        "same file for --json and --html",
-        (*FIT, "--json", "{here}/a", "--html", "{here}/a"),
-        "--html",
-        good,
-    )
-    yield Case("target", "--json over the data", (*FIT, "--json", "{here}/gel.csv"), "--json", good)
-    yield Case(
-        "target", "--json over the JSON beside", (*FIT, "--json", "{here}/gel.json"), "--json", good
-    )
-    yield Case("target", "--html over the data", (*FIT, "--html", "{here}/gel.csv"), "--html", good)
+    campaign = ("campaign", *MODELS, "--out", "{here}/file", *QUICK)
+    yield Case("target", "campaign --out a file", campaign, "--out", make)
+    for name, option, *places in (
+        ("same file for --json and --html", "--html", "--json", "{here}/a", "--html", "{here}/a"),
+        ("--json over the data", "--json", "--json", "{here}/gel.csv"),
+        ("--json over the JSON beside", "--json", "--json", "{here}/gel.json"),
+        ("--html over the data", "--html", "--html", "{here}/gel.csv"),
+    ):
+        yield Case("target", name, (*FIT, *places), option, good)
     if Path("/proc/version").exists():
-        yield Case(
-            "target",
-            "--out in a system folder",
-            (*FIT, "--out", "/proc/imr"),
-            "--out",
-            good,
-            status=(1, 2),
-        )
+        name = "--out in a system folder"
+        words = (*FIT, "--out", "/proc/imr")
+        yield Case("target", name, words, "--out", good, status=(1, 2))

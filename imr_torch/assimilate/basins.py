@@ -18,11 +18,11 @@ from torch import Tensor
 
 from imr_torch.assimilate.fit import ONE_MINIMUM, ModelFit
 from imr_torch.assimilate.forward import STEP, Point
-from imr_torch.assimilate.options import BasinOptions
 from imr_torch.assimilate.posterior import Neighbourhood, Posterior
 from imr_torch.float64 import eye, linspace
 from imr_torch.observe import NUISANCES, predict
 from imr_torch.simulate import EARLIEST
+from imr_torch.types import Nuisances
 
 _TIME_ZERO = NUISANCES.index("time_zero")
 
@@ -43,9 +43,7 @@ def deeper_nuisances(
     return _Basins.find(posterior, point).deepest_beside(point.nuisances)
 
 
-def nuisances_beside(
-    posterior: Posterior, point: Point, nuisances: Float[Tensor, "experiments nuisances"]
-) -> Float[Tensor, "experiments nuisances"]:
+def nuisances_beside(posterior: Posterior, point: Point, nuisances: Nuisances) -> Nuisances:
     """Nuisances of one gel, or for each experiment those of another point (of another model, say)
     where they lead to a deeper basin.
 
@@ -57,19 +55,20 @@ def nuisances_beside(
     here = Point(point.gel[None], point.nuisances[None])
     rows = torch.arange(len(nuisances))
     before = _nuisance_cost(posterior, here)
-    found = _Basins.below(nuisances[None, None], rows, posterior, here.gel, before, BasinOptions())
+    found = _Basins.below(nuisances[None, None], rows, posterior, here.gel, before)
     return found.deepest_beside(here.nuisances)[0]
 
 
 def other_basins(
-    fit: ModelFit, posterior: Posterior, *, within: float
-) -> list[Float[Tensor, "experiments nuisances"]]:
+    fit: ModelFit, posterior: Posterior, *, within: float, apart: float = 2.5
+) -> list[Nuisances]:
     """Nuisances in other basins of single experiments that are nearly as deep as the fit's.
 
     Args:
         fit: whose gel they are sought at.
         posterior: of its model, with as many bubbles as :func:`deeper_nuisances`.
         within: nats above the cost of the fit.
+        apart: standard deviations of the nuisances between one basin and another.
 
     Returns:
         The deepest others of each experiment, then the next ones; those of experiments with fewer
@@ -83,8 +82,8 @@ def other_basins(
         for place in costs.argsort().tolist():
             nuisances = basins.nuisances[0, place, number]
             gaps = (torch.stack(known) - nuisances) @ fit.nuisance_chol[row]
-            near = bool((gaps.norm(dim=1) < BasinOptions().apart).any())
-            if near or not float(costs[place]) < float(basins.before[0, number]) + within:
+            near = (gaps.norm(dim=1) < apart).any()
+            if near or not costs[place] < basins.before[0, number] + within:
                 continue
             known.append(nuisances)
             if len(known) > len(found) + 1:
@@ -110,22 +109,20 @@ class _Basins:
     before: Tensor
 
     @classmethod
-    def find(cls, posterior: Posterior, point: Point) -> "_Basins":
+    def find(cls, posterior: Posterior, point: Point, *, promising: float = 30.0) -> "_Basins":
         """From the lowest places of the profile over time zero, of the experiments where a place off
-        the points is promising.
+        the points is expected to cost at most ``promising`` nats more; deeper basins were expected
+        at most 5 above.
         """
-        options = BasinOptions()
         movable = posterior.batch.nuisance_sds[:, _TIME_ZERO] > 0.0
-        if not bool(movable.any()):  # no experiment has an uncertain time zero
+        if not movable.any():  # no experiment has an uncertain time zero
             nowhere = point.nuisances[:, None, :0]
             return cls(torch.arange(0), nowhere, nowhere[..., 0], nowhere[:, 0, :, 0])
         before = _nuisance_cost(posterior, point)
-        places, expected = _find_lowest_places(posterior, point, options)
-        spacing = 2.0 * options.reach / (options.places - 1)
-        away = (places - point.nuisances[:, None])[..., _TIME_ZERO].abs() > 0.5 * spacing
-        promising = away & (expected < before[:, None] + options.promising)
-        rows = torch.nonzero(movable & promising.any(1).any(0))[:, 0]
-        return cls.below(places, rows, posterior, point.gel, before, options)
+        places, expected = _find_lowest_places(posterior, point)
+        deep = (expected < before[:, None] + promising).flatten(0, 1).any(0)
+        rows = torch.nonzero(movable & deep)[:, 0]
+        return cls.below(places, rows, posterior, point.gel, before)
 
     @classmethod
     def below(
@@ -135,7 +132,8 @@ class _Basins:
         posterior: Posterior,
         gels: Tensor,
         before: Tensor,
-        options: BasinOptions,
+        *,
+        steps: int = 4,
     ) -> "_Basins":
         """By Gauss-Newton steps from places (``M x m x E x w``) of some of the experiments."""
         places = places[:, :, rows]
@@ -143,7 +141,7 @@ class _Basins:
             return cls(rows, places, places[..., 0], before[:, rows])
         part = posterior.of_experiments(rows)
         point = Point(gels.repeat_interleave(places.shape[1], 0), places.flatten(0, 1))
-        for _ in range(options.steps):
+        for _ in range(steps):
             point = Point(point.gel, part.fit_nuisances(point)[0])
         found, costs = (
             x.unflatten(0, places.shape[:2]) for x in (point.nuisances, _nuisance_cost(part, point))
@@ -164,16 +162,24 @@ class _Basins:
 
 
 def _find_lowest_places(
-    posterior: Posterior, point: Point, options: BasinOptions
+    posterior: Posterior, point: Point, *, widest: float = 3.0, count: int = 61, minima: int = 4
 ) -> tuple[Tensor, Tensor]:
     """Nuisances ``M x minima x E x w`` at the lowest minima of each experiment's profile over time
-    zero, and the cost ``M x minima x E`` that is expected there.
+    zero, and the cost ``M x minima x E`` that is expected there, infinite at the point itself.
 
     At each place Rmax and R_inf take one Gauss-Newton step, and the profile is what the cost is
     then expected to be.
+
+    Args:
+        posterior: whose cost.
+        point: ``M`` points.
+        widest: prior standard deviations of time zero on either side that are looked through.
+        count: how many times zero are tried; 61 are a tenth of a standard deviation apart.
+        minima: how many are returned.
     """
     batch = posterior.batch
-    reach = _reachable_shifts(posterior, point.nuisances, options)
+    places = linspace(-widest, widest, count)
+    reach = _reachable_shifts(posterior, point.nuisances, places)
     prediction = _predict_moved(posterior, point, reach)
     known = torch.isfinite(prediction).all(-1).all(2)  # M x P x E
     moved = point.nuisances[:, None].repeat(1, len(reach), 1, 1)
@@ -188,23 +194,21 @@ def _find_lowest_places(
         - batch.log_likelihood(prediction[:, :, 0])
         + 0.5 * (equations.nuisance_gradient * step).sum(-1)
     )
-    chosen = _find_minima(torch.where(known, cost, torch.inf), options.minima)
-    places = (moved + step).gather(1, chosen[..., None].expand(-1, -1, -1, step.shape[-1]))
-    return places, cost.gather(1, chosen)
+    chosen = _find_minima(torch.where(known, cost, torch.inf), minima)
+    found = (moved + step).gather(1, chosen[..., None].expand(-1, -1, -1, step.shape[-1]))
+    away = (found - point.nuisances[:, None])[..., _TIME_ZERO].abs() > widest / (count - 1)
+    return found, torch.where(away, cost.gather(1, chosen), torch.inf)
 
 
-def _reachable_shifts(posterior: Posterior, nuisances: Tensor, options: BasinOptions) -> Tensor:
-    """Shifts of time zero that are tried, ``P x E`` tensor, dimensionless.
+def _reachable_shifts(posterior: Posterior, nuisances: Tensor, places: Tensor) -> Tensor:
+    """Shifts of time zero by ``places`` prior standard deviations, ``P x E`` tensor, dimensionless.
 
     None moves a frame to before the bubble exists.
     """
     batch = posterior.batch
     shifts = nuisances * batch.nuisance_sds
     first = EARLIEST * (1.0 + shifts[..., 0]) - batch.times[:, 0] - shifts[..., _TIME_ZERO]
-    reach = (
-        linspace(-options.reach, options.reach, options.places)[:, None]
-        * batch.nuisance_sds[:, _TIME_ZERO]
-    )
+    reach = places[:, None] * batch.nuisance_sds[:, _TIME_ZERO]
     # a margin against rounding
     return reach.maximum((first + 1e-6).amax(0).clamp_max(0.0))
 

@@ -181,7 +181,7 @@ def _analyse_members(
     prediction = posterior.predict(posterior.point_at(torch.cat((mean[None], mean + deviations))))
     good = torch.isfinite(prediction[1:]).flatten(1).all(1)
     share = float(good.double().mean())
-    if share < simulated or not bool(torch.isfinite(prediction[0]).all()):
+    if share < simulated or not torch.isfinite(prediction[0]).all():
         raise ConvergenceError(
             f"{posterior.prior.model}: {int(good.sum())} of {len(good)} members could be "
             "simulated about the ensemble's mean; "

@@ -18,6 +18,7 @@ from torch import Tensor
 
 from imr_torch.assimilate.gauss_newton import inverse_chol
 from imr_torch.errors import InputDataError, ShapeError
+from imr_torch.types import CoordinateMatrix, Coordinates, MemberCoordinates
 
 
 @dataclass(frozen=True)
@@ -38,14 +39,14 @@ class EnsembleAnalysis:
     [1.0]
     """
 
-    mean: Float[Tensor, "coordinates"]
-    chol: Float[Tensor, "coordinates coordinates"]
+    mean: Coordinates
+    chol: CoordinateMatrix
     jacobian: Float[Tensor, "coordinates data"]
-    whitened_step: Float[Tensor, "coordinates"]
+    whitened_step: Coordinates
 
     def move_members(
-        self, ensemble: Float[Tensor, "members coordinates"], *, relaxation: float = 0.0
-    ) -> Float[Tensor, "members coordinates"]:
+        self, ensemble: MemberCoordinates, *, relaxation: float = 0.0
+    ) -> MemberCoordinates:
         """Transform members so that their mean and covariance are those of the posterior.
 
         Args:
@@ -66,13 +67,12 @@ class EnsembleAnalysis:
 
 
 def analyse_ensemble(
-    ensemble: Float[Tensor, "members coordinates"],
+    ensemble: MemberCoordinates,
     predictions: Float[Tensor, "members data"],
     data: Float[Tensor, "data"],
     noise_covariance: Float[Tensor, "data"] | Float[Tensor, "data data"],
     *,
-    prior: tuple[Float[Tensor, "coordinates"], Float[Tensor, "coordinates coordinates"]]
-    | None = None,
+    prior: tuple[Coordinates, CoordinateMatrix] | None = None,
     mean_prediction: Float[Tensor, "data"] | None = None,
     influence: Bool[Tensor, "coordinates data"] | None = None,
 ) -> EnsembleAnalysis:
@@ -150,13 +150,13 @@ def analyse_ensemble(
 
 
 def step_from_mean(
-    mean: Float[Tensor, "coordinates"],
-    deviations: Float[Tensor, "members coordinates"],
+    mean: Coordinates,
+    deviations: MemberCoordinates,
     responses: Float[Tensor, "members data"],
     *,
     slope: Float[Tensor, "data"],
     whiten: Callable[[Tensor], Tensor],
-    prior: tuple[Float[Tensor, "coordinates"], Float[Tensor, "coordinates coordinates"]],
+    prior: tuple[Coordinates, CoordinateMatrix],
     influence: Bool[Tensor, "coordinates data"] | None = None,
 ) -> EnsembleAnalysis:
     """The Gauss-Newton step from the mean of an ensemble, under any likelihood.
@@ -179,7 +179,7 @@ def step_from_mean(
 
 
 def regress_slopes(
-    deviations: Float[Tensor, "members coordinates"],
+    deviations: MemberCoordinates,
     responses: Float[Tensor, "members data"],
     influence: Bool[Tensor, "coordinates data"] | None = None,
 ) -> Float[Tensor, "coordinates data"]:
@@ -202,9 +202,7 @@ def regress_slopes(
     return slopes
 
 
-def relax_spread(
-    before: Float[Tensor, "coordinates"], after: Float[Tensor, "coordinates"], relaxation: float
-) -> Float[Tensor, "coordinates"]:
+def relax_spread(before: Coordinates, after: Coordinates, relaxation: float) -> Coordinates:
     """Factors by which deviations are widened: the share ``relaxation`` of the way back to the
     spread before (RTPS).
 

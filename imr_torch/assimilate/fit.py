@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate.forward import Point
@@ -23,10 +23,14 @@ from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
 from imr_torch.types import (
     BatchControls,
+    BatchNuisances,
     BatchParameters,
+    ColumnNumbers,
     ControlMatrix,
     Controls,
+    CoordinateMatrix,
     ExperimentFrames,
+    Nuisances,
 )
 
 PROMISED = 2.0
@@ -155,7 +159,7 @@ class ModelFit:
     prior: ModelBelief
     mean: Controls
     chol: ControlMatrix
-    nuisances: Float[Tensor, "experiments nuisances"]
+    nuisances: Nuisances
     nuisance_response: Float[Tensor, "experiments nuisances controls"]
     nuisance_chol: Float[Tensor, "experiments nuisances nuisances"]
     cost: float
@@ -163,6 +167,23 @@ class ModelFit:
     certificate: Certificate
     sample: ImportanceSample | None = None
     near: Neighbourhood | None = None
+
+    @classmethod
+    def about(cls, near: Neighbourhood, certificate: Certificate) -> "ModelFit":
+        """The fit of a point that was simulated, with the Gaussian of its local sensitivities."""
+        equations = near.equations
+        return cls(
+            near.posterior.prior,
+            near.point.gel,
+            equations.posterior_chol,
+            near.point.nuisances,
+            equations.reduced.nuisance_response,
+            torch.linalg.cholesky(equations.nuisance_hessian),
+            -float(near.log_joint),
+            near.centre,
+            certificate,
+            near=near,
+        )
 
     def linearise(self, batch: ExperimentBatch, simulator: Simulator) -> Neighbourhood:
         """The optimum with its local sensitivities under the noise of a batch.
@@ -211,7 +232,7 @@ class ModelFit:
             batch: the data.
         """
         rows = ~batch.collapse
-        if bool(rows.all()):
+        if rows.all():
             return self, batch
         part = replace(
             self,
@@ -315,16 +336,12 @@ class ModelFit:
             why = "too few are effective"
         return f"intervals not reliable: quote none of this model ({shape}; {why})"
 
-    def nuisances_at(
-        self, controls: BatchControls
-    ) -> Float[Tensor, "*batch experiments nuisances"]:
+    def nuisances_at(self, controls: BatchControls) -> BatchNuisances:
         """Most probable nuisances given the gel, linearised."""
         deviation = controls - self.mean
         return self.nuisances + (self.nuisance_response @ deviation[..., None, :, None])[..., 0]
 
-    def joint_chol(
-        self, columns: Int[Tensor, "columns"]
-    ) -> Float[Tensor, "coordinates coordinates"]:
+    def joint_chol(self, columns: ColumnNumbers) -> CoordinateMatrix:
         """Cholesky factor of the covariance of the gel and some nuisances of each experiment, in the
         order of :meth:`imr_torch.assimilate.ForwardModel.coordinates_of`.
         """
@@ -397,7 +414,7 @@ class Assimilation:
         """
         mask = self.batch.mask
         curves = mask & ~self.batch.collapse[:, None]
-        frames = curves if bool(curves.any()) else mask
+        frames = curves if curves.any() else mask
         return float(self._residual(model)[frames].square().mean().sqrt())
 
     def rmse_by_experiment(self, model: str) -> dict[str, float]:

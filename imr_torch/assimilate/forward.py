@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import torch
-from jaxtyping import Float, Int
 from torch import Tensor
 
 from imr_torch.float64 import eye, zeros
@@ -19,7 +18,16 @@ from imr_torch.material import ModelBelief
 from imr_torch.observe import ExperimentBatch, Film, predict
 from imr_torch.observe.prediction import NodeTimes
 from imr_torch.simulate import Simulator
-from imr_torch.types import BatchControls, BatchFrames
+from imr_torch.types import (
+    BatchControls,
+    BatchCoordinates,
+    BatchFrames,
+    BatchNuisances,
+    BundleFrames,
+    ColumnNumbers,
+    GelSlopes,
+    NuisanceSlopes,
+)
 
 STEP = 1e-6
 """Length of the differences, prior standard deviations of gel and nuisances."""
@@ -41,7 +49,7 @@ class Point:
     """
 
     gel: BatchControls
-    nuisances: Float[Tensor, "*batch experiments nuisances"]
+    nuisances: BatchNuisances
 
     def __getitem__(self, rows: Tensor | slice | int) -> "Point":
         return Point(self.gel[rows], self.nuisances[rows])
@@ -85,15 +93,15 @@ class ForwardModel:
         return NodeTimes()
 
     @cached_property
-    def uncertain(self) -> Int[Tensor, "columns"]:
+    def uncertain(self) -> ColumnNumbers:
         """Columns of nuisances that are uncertain in any experiment."""
         return torch.nonzero((self.batch.nuisance_sds > 0.0).any(0))[:, 0]
 
-    def coordinates_of(self, point: Point) -> Float[Tensor, "*batch coordinates"]:
+    def coordinates_of(self, point: Point) -> BatchCoordinates:
         """The gel's coordinates, then the uncertain nuisances of each experiment."""
         return torch.cat((point.gel, point.nuisances[..., self.uncertain].flatten(-2)), -1)
 
-    def point_at(self, coordinates: Float[Tensor, "*batch coordinates"]) -> Point:
+    def point_at(self, coordinates: BatchCoordinates) -> Point:
         """The points at coordinates of :meth:`coordinates_of`.
 
         Other nuisances are at their prior means.
@@ -103,7 +111,7 @@ class ForwardModel:
         nuisances[..., self.uncertain] = values
         return Point(coordinates[..., : self.size], nuisances)
 
-    def mean_nuisances(self, *batch_shape: int) -> Float[Tensor, "*batch experiments nuisances"]:
+    def mean_nuisances(self, *batch_shape: int) -> BatchNuisances:
         """Nuisances at their prior means, ``batch_shape x E x w``."""
         return zeros(*batch_shape, *self.batch.nuisance_sds.shape)
 
@@ -130,7 +138,7 @@ class ForwardModel:
 
     def bundle(
         self, point: Point, *, moves_gel: bool = True, leader: Point | None = None
-    ) -> Float[Tensor, "*batch bundle experiments frames"]:
+    ) -> BundleFrames:
         """Simulate points and the points beside them for finite differences, a bundle each.
 
         Args:
@@ -163,10 +171,10 @@ class ForwardModel:
         return self.predict(led, bundled=True)[..., 1:, :, :]
 
     def slopes(
-        self, prediction: Float[Tensor, "*batch bundle experiments frames"]
+        self, prediction: BundleFrames
     ) -> tuple[
-        Float[Tensor, "*batch experiments frames controls"],
-        Float[Tensor, "*batch experiments frames nuisances"],
+        GelSlopes,
+        NuisanceSlopes,
     ]:
         """Sensitivities to the gel (``batch_shape x E x T x d``) and to the nuisances
         (``batch_shape x E x T x w``); zero where they were not moved.

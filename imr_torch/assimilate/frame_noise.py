@@ -148,7 +148,7 @@ def infer_frame_noise(
     sds = torch.zeros_like(factors)
     found = grid.weigh_combinations(factors)
     ratios, errors, gains = grid.compare_curves(int(found[0].argmax()), factors)
-    if bool((gains >= 0.0).any()):
+    if (gains >= 0.0).any():
         likely = torch.nonzero(found[0] >= found[0].max() - prior.behind)[:, 0]
         for _ in curves[1:]:
             other = int(gains.argmax())

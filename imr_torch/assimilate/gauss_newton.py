@@ -10,11 +10,19 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.float64 import eye
-from imr_torch.types import BatchControlMatrix, BatchControls, Values
+from imr_torch.types import (
+    BatchControlMatrix,
+    BatchControls,
+    BatchNuisances,
+    ColumnNumbers,
+    CoordinateMatrix,
+    Coordinates,
+    Values,
+)
 
 
 @dataclass(frozen=True)
@@ -31,7 +39,7 @@ class Reduced:
 
     gradient: BatchControls
     hessian: BatchControlMatrix
-    nuisance_step: Float[Tensor, "*batch experiments nuisances"]
+    nuisance_step: BatchNuisances
     nuisance_response: Float[Tensor, "*batch experiments nuisances controls"]
     nuisance_log_det: Values
 
@@ -60,7 +68,7 @@ class NormalEquations:
     """
 
     gel_gradient: BatchControls
-    nuisance_gradient: Float[Tensor, "*batch experiments nuisances"]
+    nuisance_gradient: BatchNuisances
     gel_hessian: BatchControlMatrix
     nuisance_hessian: Float[Tensor, "*batch experiments nuisances nuisances"]
     cross: Float[Tensor, "*batch experiments nuisances controls"]
@@ -124,13 +132,11 @@ class NormalEquations:
         """
         return inverse_chol(self.reduced.hessian)
 
-    def joint_gradient(self, columns: Int[Tensor, "columns"]) -> Float[Tensor, "coordinates"]:
+    def joint_gradient(self, columns: ColumnNumbers) -> Coordinates:
         """Gradient over all coordinates: the gel's, then some nuisances of each experiment."""
         return torch.cat((self.gel_gradient, self.nuisance_gradient[:, columns].flatten()))
 
-    def joint_hessian(
-        self, columns: Int[Tensor, "columns"]
-    ) -> Float[Tensor, "coordinates coordinates"]:
+    def joint_hessian(self, columns: ColumnNumbers) -> CoordinateMatrix:
         """Hessian over all coordinates, the arrow as a full matrix."""
         cross = self.cross[:, columns].flatten(0, 1)
         own = torch.block_diag(*self.nuisance_hessian[:, columns][:, :, columns])
@@ -141,7 +147,7 @@ class NormalEquations:
     @property
     def step(
         self,
-    ) -> tuple[BatchControls, Float[Tensor, "*batch experiments nuisances"]]:
+    ) -> tuple[BatchControls, BatchNuisances]:
         """Gauss-Newton steps of gel and nuisances."""
         one = self.reduced
         gel = -torch.cholesky_solve(one.gradient[..., None], self.gel_chol)[..., 0]
@@ -188,7 +194,7 @@ def make_definite(hessian: BatchControlMatrix, *, rounding: float = 1e-13) -> Ba
     [1000000000000.0, 1.0]
     """
     lost = torch.linalg.cholesky_ex(hessian).info > 0
-    if not bool(lost.any()):
+    if not lost.any():
         return hessian
     values, vectors = torch.linalg.eigh(hessian)
     least = (rounding * values[..., -1:]).clamp_min(1.0)

@@ -49,7 +49,7 @@ def smooth_tail(log_weights: DrawnValues, *, shortest: int = 5) -> tuple[DrawnVa
     some = log_weights[possible]
     if len(some) < 5 * shortest:
         return log_weights, math.inf
-    if float(some.amax() - some.amin()) < 1e-9:
+    if some.amax() - some.amin() < 1e-9:
         return log_weights, 0.0
     floor = (
         some.amax() - 600.0
@@ -61,7 +61,7 @@ def smooth_tail(log_weights: DrawnValues, *, shortest: int = 5) -> tuple[DrawnVa
         torch.as_tensor(smoothed) - smoothed[least] + some[least].clamp_min(floor)
     )  # undo its normalisation
     shape = float(shape)
-    if not math.isfinite(shape) or not bool(torch.isfinite(values).all()):
+    if not math.isfinite(shape) or not torch.isfinite(values).all():
         return log_weights, math.inf
     return log_weights.index_copy(0, possible, values), shape
 

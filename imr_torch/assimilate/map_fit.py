@@ -15,7 +15,6 @@ import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -238,23 +237,7 @@ def _conclude_fit(search: ModelSearch) -> ModelFit:
     least = search.lowest.cost
     same = [one for one in search.minima if one.cost <= least + options.agreement]
     end = min(same, key=lambda one: one.gradient)
-    equations = end.equations
     agreement = search.agreement
-    return ModelFit(
-        prior=search.posterior.prior,
-        mean=end.point.gel,
-        chol=equations.posterior_chol,
-        nuisances=end.point.nuisances,
-        nuisance_response=equations.reduced.nuisance_response,
-        nuisance_chol=torch.linalg.cholesky(equations.nuisance_hessian),
-        cost=end.cost,
-        prediction=end.near.centre,
-        certificate=Certificate(
-            end.gradient,
-            agreement,
-            end.iterations,
-            end.failed_share,
-            end.gradient < options.gradient and agreement < options.agreement,
-        ),
-        near=end.near,
-    )
+    converged = end.gradient < options.gradient and agreement < options.agreement
+    certificate = Certificate(end.gradient, agreement, end.iterations, end.failed_share, converged)
+    return ModelFit.about(end.near, certificate)

@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from imr_torch.types import ExperimentFrames, FrameMask
+from imr_torch.types import ExperimentFrames, FrameMask, LawValues
 
 MATERN = 2.146193
 """Rate of a Matern-3/2 covariance times the lag at which it has fallen to 1/e."""
@@ -25,8 +25,8 @@ def matern_whitened(
     times: ExperimentFrames,
     mask: FrameMask,
     noise: Float[Tensor, "laws experiments frames"],
-    smooth: Float[Tensor, "laws"],
-    rates: Float[Tensor, "laws"],
+    smooth: LawValues,
+    rates: LawValues,
     columns: Float[Tensor, "columns experiments frames"],
 ) -> tuple[Float[Tensor, "laws columns experiments frames"], Float[Tensor, "laws experiments"]]:
     """Columns whitened under independent noise and a smooth Gaussian process, by Kalman filters

@@ -142,7 +142,7 @@ def with_inferred_noise(
         widen: whether it is enlarged so that intervals are right; noise is inferred about fits
             without that, which would pass beside curves that the model misses.
     """
-    if not bool((~batch.collapse).any()):
+    if not (~batch.collapse).any():
         return batch
     best, curves = result.lowest.of_curves(result.batch)
     if not determines_noise(best, curves):
@@ -172,7 +172,7 @@ def noise_nodes(result: Assimilation, simulator: Simulator) -> NoiseNodes | None
     True
     """
     batch = result.batch
-    if batch.noise_laws is None or bool(batch.collapse.any()):
+    if batch.noise_laws is None or batch.collapse.any():
         return None
     best = result.lowest
     return NoiseNodes.about_fit(batch.noise_laws, best.linearise(batch, simulator))

@@ -116,7 +116,7 @@ class FittedCurves:
             rows = batch.mask & (torch.arange(batch.mask.shape[1]) % stride == 0)
             # shots that are more probably like the others than not; all, if none is
             alike = torch.tensor([e.weight > 0.5 for e in batch.curves])[:, None]
-            rows = rows & alike if bool(alike.any()) else rows
+            rows = rows & alike if alike.any() else rows
             found.append(cls(near, slice(first, end), rows))
         return tuple(found)
 
@@ -140,27 +140,22 @@ class FittedCurves:
         times = batch.times
         return matern_whitened(times, self.rows, noise, smooth, MATERN / values[:, 5], columns)
 
-    @property
-    def residual(self) -> Tensor:
-        """``E x T`` tensor, of the mean of repeats, in units of one repeat's noise.
-
-        0 for frames that are not used.
+    @cached_property
+    def columns(self) -> Tensor:
+        """Residual of the mean of repeats and its sensitivities, ``C x E x T``, in units of one
+        repeat's noise; 0 for frames that are not used.
         """
-        batch = self.near.posterior.batch
-        return torch.where(self.rows, (batch.mean - self.near.centre) * batch.counts.sqrt(), 0.0)
+        scale = self.near.posterior.batch.counts.sqrt()
+        return torch.where(self.rows, self.near.columns * scale, 0.0).nan_to_num()
 
     def describe_locally(self, values: Tensor, factors: Tensor, level: Tensor) -> LocalNoise:
         """What the linearisation says of the data under each combination, at scale 1."""
-        by_gel, by_nuisance = (x.movedim(-1, 0) for x in self.near.slopes)
-        slopes = torch.cat((by_gel, by_nuisance)) * self.near.posterior.batch.counts.sqrt()
-        slopes = torch.where(self.rows, slopes, 0.0).nan_to_num()
-        columns = torch.cat((self.residual[None], slopes))
-        seen, log_det = self.whiten_columns(values, factors, level, columns)
+        seen, log_det = self.whiten_columns(values, factors, level, self.columns)
         return LocalNoise(
             seen[:, 0].square().sum((1, 2)),
             log_det.sum(1),
             float(self.rows.sum()),
-            equations_of_columns(seen, len(by_gel)),
+            equations_of_columns(seen, self.near.posterior.size),
             self.near.point,
         )
 
@@ -232,7 +227,7 @@ class NoiseGrid:
         floors = values[:, 2]
         least = math.log(self.prior.least) - floors.log()
         too_small = log_scales < least
-        if bool(too_small.all()):  # only the error of the solver is left, which is nearly constant
+        if too_small.all():  # only the error of the solver is left, which is nearly constant
             log_scales, too_small = least, floors < floors.max()
         value = torch.where(too_small, -torch.inf, value)
         return torch.stack((value - value.logsumexp(0), log_scales, sds))
@@ -246,7 +241,7 @@ class NoiseGrid:
         level = _mean_variance(self.curves, values, factors)
         parts = []
         for c in self.curves:
-            seen, _ = c.whiten_columns(values, factors, level, c.residual[None])
+            seen, _ = c.whiten_columns(values, factors, level, c.columns[:1])
             by_gel, by_nuisance = c.near.slopes
             fitted = by_gel.shape[-1] / len(by_gel) + by_nuisance.shape[-1]
             used = c.rows.sum(1)

@@ -24,7 +24,7 @@ of every model is then weighted by the same sum over laws, exactly
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
@@ -70,21 +70,18 @@ class LocalNoise:
     @classmethod
     def of(cls, near: Neighbourhood, laws: Sequence[Noise]) -> "LocalNoise":
         """At one point that was simulated, under laws whose scales are taken as 1."""
-        by_gel, by_nuisance = (x.movedim(-1, 0) for x in near.slopes)
-        columns = torch.cat(((near.posterior.batch.mean - near.centre)[None], by_gel, by_nuisance))
         found = []
         for law in laws:
             batch = replace(
                 near.posterior.batch, noise=replace(law, scale=1.0, widened=1.0), noise_laws=None
             )
             sd = batch.sd(near.centre)
-            terms = batch.terms(near.centre, sd, batch.innovations)
-            equations = equations_of_columns(batch.whiten(columns, sd), len(by_gel))
-            blocks = (getattr(equations, block.name) for block in fields(equations))
-            found.append((*(x.sum() for x in terms), *blocks))
-        square, normaliser, *blocks = map(torch.stack, zip(*found, strict=True))
+            square, normaliser = batch.terms(near.centre, sd, batch.innovations)
+            found.append((square.sum(), normaliser.sum(), batch.whiten(near.columns, sd)))
+        square, normaliser, whitened = map(torch.stack, zip(*found, strict=True))
         size = float(near.posterior.batch.sizes.sum())
-        return cls(square, normaliser, size, NormalEquations(*blocks), near.point)
+        equations = equations_of_columns(whitened, near.posterior.size)
+        return cls(square, normaliser, size, equations, near.point)
 
     def marginal(self, log_scales: Tensor) -> Tensor:
         """Log marginal likelihood, gel and nuisances integrated out: ``J x S`` for ``J x S``

@@ -10,11 +10,11 @@ Where the cost of an experiment has further basins that are nearly as deep
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate.basins import other_basins
@@ -24,7 +24,7 @@ from imr_torch.assimilate.options import WeighingOptions
 from imr_torch.assimilate.posterior import Posterior
 from imr_torch.assimilate.proposals import student_draws, student_log_prob
 from imr_torch.float64 import zeros
-from imr_torch.types import DrawnControls
+from imr_torch.types import DrawnControls, RowNumbers
 
 
 class Placement(Enum):
@@ -47,7 +47,7 @@ class NuisanceBasin:
         posterior: of the same.
     """
 
-    rows: Int[Tensor, "rows"]
+    rows: RowNumbers
     fit: ModelFit
     posterior: Posterior
 
@@ -80,14 +80,8 @@ def find_nuisance_basins(
     for nuisances in other_basins(fit, posterior, within=within):
         rows = torch.nonzero((nuisances != fit.nuisances).any(1))[:, 0]
         of_rows = posterior.of_experiments(rows)
-        point = Point(fit.mean, nuisances[rows])
-        equations = of_rows.neighbourhood(point).equations
-        there = replace(
-            fit,
-            nuisances=point.nuisances,
-            nuisance_response=equations.reduced.nuisance_response,
-            nuisance_chol=torch.linalg.cholesky(equations.nuisance_hessian),
-        )
+        near = of_rows.neighbourhood(Point(fit.mean, nuisances[rows]))
+        there = ModelFit.about(near, fit.certificate)
         basins.append(NuisanceBasin(rows, there, of_rows))
     return basins
 
@@ -165,7 +159,7 @@ def draw_nuisances(
         source: of the draws.
     """
     uncertain = basins[0].posterior.batch.nuisance_sds > 0.0
-    if not bool(uncertain.any()):
+    if not uncertain.any():
         still = zeros(len(controls), 1, *uncertain.shape)
         return NuisanceDraws(controls, still, still[..., 0], basins[:1])
     freedom = options.nuisance_freedom
@@ -175,30 +169,24 @@ def draw_nuisances(
     deviations = student_draws(
         (len(controls), len(basins) * pairs, *uncertain.shape), freedom, source
     )
-    centres = list[Tensor]()
-    chols = list[Tensor]()
-    parts = list[Tensor]()
+    placed = list[tuple[Tensor, ...]]()
     for basin, half in zip(basins, deviations.split(pairs, dim=1), strict=True):
         both = (torch.cat((half, -half), dim=1) * uncertain)[:, :, basin.rows]
-        centre, chol = basin.place_nuisances(controls, placement)
-        spread = torch.linalg.solve_triangular(chol.mT[:, None], both[..., None], upper=True)
-        own = centre[:, None] + spread[..., 0]
-        if parts:  # of the other experiments, the same once more
-            own = parts[0].index_copy(2, basin.rows, own)
-            centre = centres[0].index_copy(1, basin.rows, centre)
-            chol = chols[0].index_copy(1, basin.rows, chol)
-        centres.append(centre)
-        chols.append(chol)
-        parts.append(own)
-    nuisances = torch.cat(parts, 1)
+        centre, chol = (x[:, None] for x in basin.place_nuisances(controls, placement))
+        spread = torch.linalg.solve_triangular(chol.mT, both[..., None], upper=True)[..., 0]
+        made = (centre, chol, centre + spread)
+        if placed:  # of the other experiments, the same once more
+            pairs = zip(placed[0], made, strict=True)
+            made = tuple(first.index_copy(2, basin.rows, own) for first, own in pairs)
+        placed.append(made)
+    nuisances = torch.cat([own for _, _, own in placed], 1)
 
     def log_prob_about(centre: Tensor, chol: Tensor) -> Tensor:
-        white = (chol.mT[:, None] @ (nuisances - centre[:, None])[..., None])[..., 0] * uncertain
+        white = (chol.mT @ (nuisances - centre)[..., None])[..., 0] * uncertain
         heights = torch.where(uncertain, chol.diagonal(dim1=-2, dim2=-1), 1.0).log().sum(-1)
-        square = white.square().sum(-1)
-        return student_log_prob(square, uncertain.sum(1), freedom) + heights[:, None]
+        return student_log_prob(white.square().sum(-1), uncertain.sum(1), freedom) + heights
 
-    densities = [log_prob_about(*one) for one in zip(centres, chols, strict=True)]
+    densities = [log_prob_about(centre, chol) for centre, chol, _ in placed]
     log_proposal = torch.stack(densities).logsumexp(0) - math.log(len(basins))
     log_prior = torch.where(uncertain, standard_log_prob(nuisances), 0.0).sum(-1)
     return NuisanceDraws(controls, nuisances, log_prior - log_proposal, basins)
@@ -209,9 +197,7 @@ def standard_log_prob(values: Tensor) -> Tensor:
     return -0.5 * (values.square() + math.log(2.0 * math.pi))
 
 
-def pick_columns(
-    log_weights: Float[Tensor, "rows columns"], source: torch.Generator
-) -> Int[Tensor, "rows"]:
+def pick_columns(log_weights: Float[Tensor, "rows columns"], source: torch.Generator) -> RowNumbers:
     """One column of each row, in proportion to its weight."""
     shares = torch.softmax(log_weights.nan_to_num(neginf=-1e300), 1)
     return torch.multinomial(shares, 1, generator=source)[:, 0]

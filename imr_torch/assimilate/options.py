@@ -124,33 +124,6 @@ class SearchOptions:
 
 
 @dataclass(frozen=True)
-class BasinOptions(CheckedOptions):
-    """How deeper basins of the nuisances are searched for
-    (:mod:`imr_torch.assimilate.basins`).
-
-    Args:
-        reach: prior standard deviations of time zero on either side that are looked through.
-        places: how many times zero are tried; 61 are a tenth of a standard deviation apart.
-        promising: nats above the cost at which the profile may be at another place for an experiment
-            to be looked at further; deeper basins were expected at most 5 above it.
-        minima: lowest minima of the profile from which all nuisances are fitted.
-        steps: Gauss-Newton steps of each.
-        apart: standard deviations of the nuisances between one basin and another.
-
-    >>> from imr_torch.assimilate.options import BasinOptions
-    >>> BasinOptions().places
-    61
-    """
-
-    reach: float = 3.0
-    places: int = 61
-    promising: float = 30.0
-    minima: int = 4
-    steps: int = 4
-    apart: float = 2.5
-
-
-@dataclass(frozen=True)
 class WeighingOptions(CheckedOptions):
     """How draws of a posterior are made and weighed (:func:`imr_torch.assimilate.weigh`).
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate.forward import ForwardModel, Point
@@ -18,7 +18,15 @@ from imr_torch.assimilate.gauss_newton import NormalEquations, normal_equations
 from imr_torch.float64 import eye
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import coarser
-from imr_torch.types import BatchFrames, Values
+from imr_torch.types import (
+    BatchCoordinates,
+    BatchFrames,
+    BundleFrames,
+    GelSlopes,
+    NuisanceSlopes,
+    RowNumbers,
+    Values,
+)
 
 
 @dataclass(frozen=True)
@@ -60,7 +68,7 @@ class Posterior(ForwardModel):
         """
         return -float(self.batch.log_likelihood(self.batch.mean).sum())
 
-    def of_experiments(self, rows: Int[Tensor, "rows"]) -> "Posterior":
+    def of_experiments(self, rows: RowNumbers) -> "Posterior":
         """That of some of the experiments."""
         experiments = tuple(self.batch.experiments[row] for row in rows.tolist())
         return replace(self, batch=replace(self.batch, experiments=experiments))
@@ -95,8 +103,8 @@ class Posterior(ForwardModel):
         self,
         point: Point,
         prediction: BatchFrames,
-        by_gel: Float[Tensor, "*batch experiments frames controls"],
-        by_nuisance: Float[Tensor, "*batch experiments frames nuisances"],
+        by_gel: GelSlopes,
+        by_nuisance: NuisanceSlopes,
     ) -> NormalEquations:
         """Gauss-Newton normal equations from given sensitivities.
 
@@ -187,7 +195,7 @@ class Neighbourhood:
 
     posterior: Posterior
     point: Point
-    prediction: Float[Tensor, "*batch bundle experiments frames"]
+    prediction: BundleFrames
 
     def is_of(self, posterior: Posterior, point: Point) -> bool:
         """Whether its bubbles are those of a posterior at a point, whatever the noise."""
@@ -198,7 +206,7 @@ class Neighbourhood:
         same = self.posterior.simulator is posterior.simulator
         return same and all(map(torch.equal, mine, others))
 
-    def of_experiments(self, rows: Int[Tensor, "rows"]) -> "Neighbourhood":
+    def of_experiments(self, rows: RowNumbers) -> "Neighbourhood":
         """That of some of the experiments, without a bubble."""
         posterior = self.posterior.of_experiments(rows)
         point = Point(self.point.gel, self.point.nuisances[..., rows, :])
@@ -216,7 +224,7 @@ class Neighbourhood:
         return torch.cat((by_gel.movedim(-1, 0), apart.flatten(0, 1)))
 
     @cached_property
-    def coordinates(self) -> Float[Tensor, "*batch coordinates"]:
+    def coordinates(self) -> BatchCoordinates:
         """Gel and uncertain nuisances, as :attr:`jacobian` has them."""
         return self.posterior.coordinates_of(self.point)
 
@@ -234,8 +242,8 @@ class Neighbourhood:
     def slopes(
         self,
     ) -> tuple[
-        Float[Tensor, "*batch experiments frames controls"],
-        Float[Tensor, "*batch experiments frames nuisances"],
+        GelSlopes,
+        NuisanceSlopes,
     ]:
         """Sensitivities of the prediction to the gel (``batch_shape x E x T x d``) and nuisances
         (``batch_shape x E x T x w``).
@@ -243,6 +251,13 @@ class Neighbourhood:
         Neighbours that failed give a slope of zero.
         """
         return self.posterior.slopes(self.prediction)
+
+    @cached_property
+    def columns(self) -> Float[Tensor, "columns experiments frames"]:
+        """Residual of one point, then its sensitivities to the gel and to the nuisances."""
+        by_gel, by_nuisance = (x.movedim(-1, 0) for x in self.slopes)
+        residual = self.posterior.batch.mean - self.centre
+        return torch.cat((residual[None], by_gel, by_nuisance))
 
     @cached_property
     def equations(self) -> NormalEquations:

@@ -104,10 +104,13 @@ class Kernels:
         """
         if self.precisions is None:
             return None
-        centres = self.centres[: len(self.precisions)]
-        whiten = torch.linalg.inv(self.chols[: len(centres)])
-        gaps = torch.einsum("jab,jnb->jna", whiten, points - centres[:, None])
-        return self.precisions[gaps.square().sum(-1).argmin(0)]
+        return self.precisions[self._square_distances(points)[: len(self.precisions)].argmin(0)]
+
+    def _square_distances(self, points: Tensor) -> Tensor:
+        """``J x n`` tensor, from each kernel in its own scale."""
+        whiten = torch.linalg.inv(self.chols)
+        gaps = torch.einsum("jab,jnb->jna", whiten, points - self.centres[:, None])
+        return gaps.square().sum(-1)
 
     def draw_points(self, count: int, source: torch.Generator) -> Float[Tensor, "count controls"]:
         """``count x d`` independent draws."""
@@ -117,20 +120,12 @@ class Kernels:
 
     def log_prob(self, points: DrawnControls, *, pairs: int = 1_000_000) -> DrawnValues:
         """Log density at ``n x d`` points: ``n`` tensor; so many pairs with kernels at once."""
-        heights = self.weights.log() - half_log_det(self.chols)
-        whiten = torch.linalg.inv(self.chols)
+        heights = (self.weights.log() - half_log_det(self.chols))[:, None]
+        size = points.shape[1]
         rows = []
         for some in points.split(max(1, pairs // len(self.centres))):
-            square = (
-                torch.einsum("jab,jnb->jna", whiten, some - self.centres[:, None]).square().sum(-1)
-            )
-            rows.append(
-                torch.logsumexp(
-                    heights[:, None]
-                    + student_log_prob(square, self.centres.shape[1], self.freedom),
-                    dim=0,
-                )
-            )
+            density = student_log_prob(self._square_distances(some), size, self.freedom)
+            rows.append(torch.logsumexp(heights + density, dim=0))
         return torch.cat(rows)
 
 

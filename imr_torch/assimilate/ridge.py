@@ -23,46 +23,10 @@ from torch.nn.functional import normalize
 from imr_torch.assimilate.fit import ModelFit
 from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.importance import weighted_moments
-from imr_torch.assimilate.options import CheckedOptions
 from imr_torch.assimilate.posterior import Posterior
 from imr_torch.assimilate.proposals import Kernels
 from imr_torch.float64 import tensor
 from imr_torch.types import ControlMatrix, Controls
-
-
-@dataclass(frozen=True)
-class RidgeOptions(CheckedOptions):
-    """How far and how finely a ridge is followed.
-
-    Args:
-        fall: nats by which the profile falls at the ends; what lies beyond holds less than a
-            thousandth of the probability.
-        attempts: most points that are tried on either side of the optimum.
-        shortest: distance between points, over one posterior standard deviation, at which a side is
-            given up.
-        bend: nats by which a point may lie off the straight line through the two before, so that
-            kernels overlap.
-        passes: most Gauss-Newton steps at one point.
-        fitted: predicted decrease of the next step, nats, below which a point is taken as fitted;
-            weights repair so little.
-        lost: the same from which a point is no part of the ridge.
-        overlap: scale of a kernel along the ridge over the distance of its neighbours.
-        wide_share: probability of a wide kernel about all, which covers what the others do not.
-
-    >>> from imr_torch.assimilate.ridge import RidgeOptions
-    >>> RidgeOptions(attempts=48).fall
-    8.0
-    """
-
-    fall: float = 8.0
-    attempts: int = 24
-    shortest: float = 1.0 / 16.0
-    bend: float = 1.0
-    passes: int = 4
-    fitted: float = 0.3
-    lost: float = 3.0
-    overlap: float = 0.7
-    wide_share: float = 0.1
 
 
 @dataclass(frozen=True)
@@ -102,7 +66,6 @@ def trace_ridge(fit: ModelFit, posterior: Posterior) -> Kernels:
     Returns:
         A proposal.
     """
-    options = RidgeOptions()
     values, vectors = torch.linalg.eigh(fit.chol @ fit.chol.mT)
     axis = values[-1].sqrt() * vectors[:, -1]
     optimum = _RidgePoint(
@@ -113,60 +76,81 @@ def trace_ridge(fit: ModelFit, posterior: Posterior) -> Kernels:
         fit.nuisance_log_det,
         fit.nuisance_response,
     )
-    below, above = (_follow_side(optimum, way, posterior, options) for way in (-axis, axis))
+    below, above = (_follow_side(optimum, way, posterior) for way in (-axis, axis))
     points = [*reversed(below), optimum, *above]
-    return (
-        _place_kernels(points, options)
-        if len(points) > 2
-        else Kernels.about_mean(fit.mean, fit.chol)
-    )
+    return _place_kernels(points) if len(points) > 2 else Kernels.about_mean(fit.mean, fit.chol)
 
 
 def _follow_side(
-    optimum: _RidgePoint, axis: Controls, posterior: Posterior, options: RidgeOptions
+    optimum: _RidgePoint,
+    axis: Controls,
+    posterior: Posterior,
+    *,
+    fall: float = 8.0,
+    attempts: int = 24,
+    shortest: float = 1.0 / 16.0,
+    most_bend: float = 1.0,
+    lost: float = 3.0,
 ) -> list[_RidgePoint]:
     """The ridge from its optimum to one end.
 
-    ``axis`` is the direction of the first step, as long as steps may be.
+    Args:
+        optimum: where it begins.
+        axis: direction of the first step, as long as steps may be: a posterior standard deviation.
+        posterior: of the model.
+        fall: nats by which the profile falls at the end; what lies beyond holds less than a
+            thousandth of the probability.
+        attempts: most points that are tried.
+        shortest: distance between points, over that of the first step, at which it is given up.
+        most_bend: nats by which a point may lie off the straight line through the two before, so
+            that kernels overlap.
+        lost: predicted decrease of a further step, nats, from which a point is no part of the
+            ridge.
     """
     points = [optimum]
     along = normalize(axis, dim=0)
     turn = torch.zeros_like(along)
     longest = length = float(axis.norm())
     least = optimum.cost
-    for _ in range(options.attempts):
+    for _ in range(attempts):
         ahead = normalize(along + length * turn, dim=0)
-        point = _fit_across(points[-1].move_gel(length * ahead), ahead, posterior, options)
+        point = _fit_across(points[-1].move_gel(length * ahead), ahead, posterior)
         step = point.point.gel - points[-1].point.gel
         off = step - along * (along @ step)
         bend = 0.5 * float(off @ point.hessian @ off)
-        if point.promised >= options.lost or bend >= options.bend:
+        if point.promised >= lost or bend >= most_bend:
             length *= 0.5
-            if length < options.shortest * longest:
+            if length < shortest * longest:
                 break
             continue
         points.append(point)
         least = min(least, point.cost)
-        if point.cost > least + options.fall:
+        if point.cost > least + fall:
             break
         following = normalize(step, dim=0)
         turn = (following - along) / step.norm()
         along = following
-        if bend < 0.1 * options.bend:
+        if bend < 0.1 * most_bend:
             length = min(2.0 * length, longest)
     return points[1:]
 
 
 def _fit_across(
-    guess: _RidgePoint, along: Controls, posterior: Posterior, options: RidgeOptions
+    guess: _RidgePoint,
+    along: Controls,
+    posterior: Posterior,
+    *,
+    passes: int = 4,
+    fitted_within: float = 0.3,
 ) -> _RidgePoint:
     """A point after Gauss-Newton steps across the ridge, with the cost predicted from its local
-    sensitivities.
+    sensitivities: ``passes`` at most, fewer where the next one is predicted to lower the cost by
+    less than ``fitted_within`` nats, which weights repair.
     """
     across = _normal_plane(along)
-    for _ in range(options.passes):
+    for _ in range(passes):
         near = posterior.neighbourhood(guess.point)
-        if not bool(torch.isfinite(near.prediction).all()):
+        if not torch.isfinite(near.prediction).all():
             return replace(guess, promised=math.inf)
         equations = near.equations
         reduced = equations.reduced
@@ -184,13 +168,17 @@ def _fit_across(
             float(reduced.nuisance_log_det),
             reduced.nuisance_response,
         ).move_gel(step)
-        if promised <= options.fitted:
+        if promised <= fitted_within:
             break
     return guess
 
 
-def _place_kernels(points: list[_RidgePoint], options: RidgeOptions) -> Kernels:
-    """A kernel on each point of a ridge, in order."""
+def _place_kernels(
+    points: list[_RidgePoint], *, overlap: float = 0.7, wide_share: float = 0.1
+) -> Kernels:
+    """A kernel on each point of a ridge, in order, along it as long as ``overlap`` of the distance
+    of its neighbours, and a wide one about all with a probability of ``wide_share``.
+    """
     gels = torch.stack([p.point.gel for p in points])
     steps = gels.diff(dim=0)
     ways = normalize(torch.cat((steps[:1], gels[2:] - gels[:-2], steps[-1:])), dim=1)
@@ -201,7 +189,7 @@ def _place_kernels(points: list[_RidgePoint], options: RidgeOptions) -> Kernels:
     inside = torch.linalg.inv(across.mT @ hessian @ across)
     flat = across @ inside @ across.mT
     line = ways[:, :, None] * ways[:, None, :]
-    chols = torch.linalg.cholesky(flat + (options.overlap * spacing).square()[:, None, None] * line)
+    chols = torch.linalg.cholesky(flat + (overlap * spacing).square()[:, None, None] * line)
     cost = tensor([p.cost + 0.5 * p.nuisance_log_det for p in points])
     weights = torch.softmax(
         0.5 * torch.linalg.slogdet(inside).logabsdet + spacing.log() - cost, dim=0
@@ -209,7 +197,7 @@ def _place_kernels(points: list[_RidgePoint], options: RidgeOptions) -> Kernels:
     mean, along = weighted_moments(gels, weights)
     chol = torch.linalg.cholesky(along + (weights[:, None, None] * flat).sum(0))
     kernels = Kernels(gels, weights, chols, mean, chol, precisions=hessian)
-    return kernels.with_wide_kernel(options.wide_share)
+    return kernels.with_wide_kernel(wide_share)
 
 
 def _normal_plane(way: Controls) -> Float[Tensor, "controls across"]:

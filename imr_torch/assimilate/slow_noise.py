@@ -23,6 +23,7 @@ from imr_torch.assimilate.matern import MATERN, matern_whitened
 from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.float64 import eye, tensor
 from imr_torch.observe import collapse_time
+from imr_torch.types import LawValues
 
 AMOUNTS = (0.001, 0.002, 0.004, 0.008, 0.016)
 """Standard deviations of slow noise in R* that are tried."""
@@ -111,7 +112,7 @@ class BesideSlowNoise:
     laws: Float[Tensor, "laws 2"]
     residual: Float[Tensor, "laws frames"]
     fitted: Float[Tensor, "laws columns frames"]
-    log_norm: Float[Tensor, "laws"]
+    log_norm: LawValues
 
     @classmethod
     def about(
@@ -203,14 +204,14 @@ class BesideSlowNoise:
         return self._inverse_root @ (self.fitted @ self.residual[..., None])
 
     @property
-    def _joint(self) -> Float[Tensor, "laws"]:
+    def _joint(self) -> LawValues:
         """Log density of the data and of everything that is fitted at the point itself."""
         coordinates = self.near.coordinates
         left = self.residual - coordinates @ self.fitted
         return self.log_norm - 0.5 * left.square().sum(1) - 0.5 * coordinates.square().sum()
 
     @cached_property
-    def _of_laws(self) -> Float[Tensor, "laws"]:
+    def _of_laws(self) -> LawValues:
         explained = self._moments.square().sum((1, 2)) - self.residual.square().sum(1)
         roots = half_log_det(self._inverse_root)
         return self.log_norm + 0.5 * explained + roots
@@ -220,7 +221,7 @@ def _whiten(
     near: Neighbourhood,
     laws: Float[Tensor, "laws 2"],
     columns: Float[Tensor, "columns experiments frames"],
-) -> tuple[Float[Tensor, "laws columns frames"], Float[Tensor, "laws"]]:
+) -> tuple[Float[Tensor, "laws columns frames"], LawValues]:
     """Curves under each law, and half the log determinants."""
     batch = near.posterior.batch
     noise = batch.sd(near.centre).square() / batch.counts

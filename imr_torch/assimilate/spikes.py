@@ -93,7 +93,7 @@ def without_spoilt_frames(
             if float(own[worst]) < spike:
                 break
             kept[row, frames[worst + 2]] = False
-    if bool((kept == batch.mask).all()):
+    if (kept == batch.mask).all():
         return batch
     rows = zip(batch.experiments, kept, strict=True)
     return replace(batch, experiments=tuple(e.at(row[: len(e.times)]) for e, row in rows))

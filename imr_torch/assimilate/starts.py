@@ -95,12 +95,10 @@ def starts_beside(
         ]
     )
     noise[0] = 0.0
-    point = Point(fit.mean + noise, fit.nuisances_at(fit.mean + noise))
-    failed = torch.isinf(posterior.log_joint(point))
-    return Point(
-        torch.where(failed[:, None], fit.mean, point.gel),
-        torch.where(failed[:, None, None], fit.nuisances, point.nuisances),
-    )
+    gels = fit.mean + noise
+    failed = torch.isinf(posterior.log_joint(Point(gels, fit.nuisances_at(gels))))
+    gels[failed] = fit.mean
+    return Point(gels, fit.nuisances_at(gels))
 
 
 def draw_perturbation(

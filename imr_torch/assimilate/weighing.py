@@ -15,7 +15,6 @@ from dataclasses import dataclass, field, replace
 import torch
 
 from imr_torch.assimilate.fit import Assimilation, ModelFit, Verdict
-from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.importance import (
     ImportanceSample,
     NoiseSample,
@@ -71,9 +70,9 @@ class _State:
 
     def needs_round(self, options: WeighingOptions, ahead: set[str], rounds: int) -> bool:
         """Whether the draws so far do not give reliable moments, and more of them may."""
-        sample = self.fit.sample
-        if not self.parts or sample is None:
+        if not self.parts:
             return True
+        sample = self.parts[-1]
         if len(self.parts) >= rounds or self.fit.model not in ahead:
             return False
         hopeless = len(self.parts) > 2 and sample.effective_samples < options.hopeless * len(sample)
@@ -145,7 +144,7 @@ def weigh(
             f"weigh: samples {samples} must be at least 25, and rounds {rounds} at least 1."
         )
     batch = assimilation.batch
-    if noise is not None and bool(batch.collapse.any()):
+    if noise is not None and batch.collapse.any():
         raise InputDataError(
             "weigh was given noise laws to integrate over, and the data hold collapse times, "
             "which have an error of their own; "
@@ -220,7 +219,6 @@ def _fit_again(
             state.fit = lower
             state.proposals = []
             state.parts = []
-            state.basins = []
 
 
 def _make_proposal(state: _State, seed: int, options: WeighingOptions) -> Kernels:
@@ -229,6 +227,7 @@ def _make_proposal(state: _State, seed: int, options: WeighingOptions) -> Kernel
     """
     fit = state.fit
     if not state.parts:
+        state.basins = find_nuisance_basins(fit, state.posterior, within=options.further)
         gaussian = Kernels.about_mean(fit.mean, fit.chol)
         source = generator(child(seed, "bent", fit.model, state.drawn))
         state.bent = _is_bent(state, gaussian.draw_points(options.placed, source), options)
@@ -258,10 +257,8 @@ def _is_bent(state: _State, controls: DrawnControls, options: WeighingOptions) -
     """
     if not len(state.posterior.uncertain):
         return False
-    linear = Point(controls, state.fit.nuisances_at(controls))
-    near = state.fit.linearise(state.posterior.batch, state.posterior.simulator)
-    placed, chol = state.posterior.fit_nuisances(linear, beside=near)
-    missed = chol.mT @ (placed - linear.nuisances)[..., None]
+    placed, chol = state.basins[0].place_nuisances(controls, Placement.FITTED)
+    missed = chol.mT @ (placed - state.fit.nuisances_at(controls))[..., None]
     return 0.5 * float(missed.square().sum((1, 2, 3)).nanmedian()) > options.lost
 
 
@@ -293,10 +290,8 @@ def _draw_round(state: _State, samples: int, seed: int, options: WeighingOptions
     samples *= 2 ** max(0, number - (1 if sure else 2))
     source = generator(child(seed, "weigh", fit.model, state.drawn))
     controls = state.proposals[-1].draw_points(samples, source)
-    if not state.basins:
-        state.basins = find_nuisance_basins(fit, state.posterior, within=options.further)
     placement = Placement.FITTED if number > 0 or state.bent else Placement.MOVED
-    if number > 1 and fit.sample is not None and not fit.sample.reliable:
+    if number > 1 and not state.parts[-1].reliable:
         placement = Placement.CAREFUL
     return draw_nuisances(controls, state.basins, placement, options, source)
 

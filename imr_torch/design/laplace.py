@@ -21,7 +21,6 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from imr_torch.assimilate.options import CheckedOptions
 from imr_torch.design.gain import (
     InformationEstimator,
     InformationGain,
@@ -80,30 +79,21 @@ class Laplace(InformationEstimator):
         about_model = logs - torch.logsumexp(logs + log_prior[:, None], dim=0)
         gains = [
             (
-                self.inform_gels(shot, part, gels.parts[i], own[i], generator),
+                self.inform_gels(part, gels.parts[i], own[i]),
                 about_model[i, rows][: self._rival_count],
             )
             for i, (part, rows) in enumerate(zip(shot.belief.models, gels.rows, strict=True))
         ]
         return combine_models(log_prior.exp(), gains, gels.orders)
 
-    def inform_gels(
-        self,
-        shot: Shot,
-        part: ModelBelief,
-        gels: Response,
-        linear: Linear,
-        source: torch.Generator,
-    ) -> DrawnValues:
+    def inform_gels(self, part: ModelBelief, gels: Response, linear: Linear) -> DrawnValues:
         """``1/2 log det(P + J^T J) - 1/2 log det P`` at each gel, with ``P`` the precision of the
         belief there.
 
         Args:
-            shot: designs and how they are observed.
             part: the model.
             gels: its ``n`` gels.
             linear: inference about each from a datum of its own.
-            source: of further random numbers.
         """
         if part.cloud is None:
             return linear.information
@@ -138,7 +128,7 @@ class Laplace(InformationEstimator):
             others[rows] = False
             if len(part) == 0:
                 logs[i] = -math.inf
-            elif bool(others.any()):
+            elif others.any():
                 seen = data[others]
                 at = refine_gels(
                     seen,
@@ -176,30 +166,6 @@ def local_precision(part: ModelBelief, controls: DrawnControls) -> BatchControlM
     return part.chol.mT @ part.cloud.precisions[closest] @ part.chol
 
 
-@dataclass(frozen=True)
-class RefinementOptions(CheckedOptions):
-    """How far and how long a gel is refined.
-
-    Args:
-        close: distance from the linearised optimum, posterior standard deviations, at which
-            evidence linearised there is as good as at the optimum.
-        longest: most standard deviations of the belief in one step.
-        shorter: factor on the next step where one did not raise the posterior density.
-        shortest: factor below which no further one is tried.
-        start_behind: nats below the floor at which not even a first step is made.
-
-    >>> from imr_torch.design.laplace import RefinementOptions
-    >>> RefinementOptions().longest
-    4.0
-    """
-
-    close: float = 0.5
-    longest: float = 4.0
-    shorter: float = 0.3
-    shortest: float = 0.01
-    start_behind: float = 150.0
-
-
 def best_starts(
     data: Data, gels: Response, shot: Shot, *, per_distance: float = 20.0
 ) -> Int[Tensor, "data"]:
@@ -230,6 +196,12 @@ def refine_gels(
     part: ModelBelief,
     iterations: int,
     floor: DatasetValues,
+    *,
+    close: float = 0.5,
+    longest: float = 4.0,
+    shorter: float = 0.3,
+    shortest: float = 0.01,
+    start_behind: float = 150.0,
 ) -> Response:
     """Gauss-Newton steps towards the maximum of the posterior density of each datum.
 
@@ -239,29 +211,33 @@ def refine_gels(
         shot: designs and how they are observed.
         part: the model.
         iterations: steps of each datum; where one failed, the next is shorter.
-        floor: data whose linearised evidence falls below this are not refined further; far below
-            it, not at all.
+        floor: data whose linearised evidence falls below this are not refined further.
+        close: distance from the linearised optimum, posterior standard deviations, at which
+            evidence linearised there is as good as at the optimum.
+        longest: most standard deviations of the belief in one step.
+        shorter: factor on the next step where one did not raise the posterior density.
+        shortest: factor below which no further one is tried.
+        start_behind: nats below the floor at which not even a first step is made.
     """
-    options = RefinementOptions()
     length = ones(len(data), 1)
     for iteration in range(iterations):
         here = infer_linear(data, at, shot.plan)
         step = here.mean - at.controls
         distance = (step[:, None] @ here.chol).norm(dim=-1)[:, 0]
-        active = (distance > options.close) & (length[:, 0] > options.shortest)
-        active &= here.log_evidence > (floor if iteration else floor - options.start_behind)
+        active = (distance > close) & (length[:, 0] > shortest)
+        active &= here.log_evidence > (floor if iteration else floor - start_behind)
         moving = torch.nonzero(active)[:, 0]
         if len(moving) == 0:
             break
-        longest = step.norm(dim=-1, keepdim=True).clamp_min(options.longest)
-        tried = (at.controls + length * step * (options.longest / longest))[moving]
+        limit = longest / step.norm(dim=-1, keepdim=True).clamp_min(longest)
+        tried = (at.controls + length * step * limit)[moving]
         moved = simulate_response(shot, part, tried)
         rows = moving[moved.good]
         moved = moved[moved.good]
         there = infer_linear(data[rows], moved, shot.plan)
         gains = _log_posterior(there, moved) > _log_posterior(here, at)[rows]
         at = at.replace_rows(rows[gains], moved[gains])
-        length *= options.shorter
+        length *= shorter
         length[rows[gains]] = 1.0
     return at
 

@@ -8,10 +8,9 @@ cost is maximised.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import partial
 
 import torch
 
@@ -160,27 +159,28 @@ def search_design(
         waiting = [] if acquisition.X_pending is None else [acquisition.X_pending]
         waiting += [step.recommendation.design[None] for step in steps]
         own = seed if number == 0 else child(seed, "further design", number)
-        make_optimizer = partial(DesignOptimizer, acquisition.space, seed=own, initial=initial)
+        optimizer = DesignOptimizer(acquisition.space, seed=own, initial=initial)
         beside = copy(acquisition)
         beside.set_X_pending(torch.cat(waiting) if waiting else None)
-        steps.append(_search_one(beside, make_optimizer, seed, evaluations, batch, progress))
+        steps.append(_search_one(beside, optimizer, seed, evaluations, batch, progress))
     return replace(steps[-1], earlier=tuple(steps[:-1]))
 
 
 def _tell_gains(
-    optimizer: DesignOptimizer,
+    untold: DesignOptimizer,
     designs: Designs,
     gains: Sequence[InformationGain],
     pending: InformationGain | None,
-) -> float:
-    """Tell an optimizer what designs add to the pending ones, per cost; the variance that is common
-    to all.
+) -> tuple[DesignOptimizer, float]:
+    """An optimizer that was told what designs add to the pending ones, per cost, and the variance
+    that is common to all.
 
     Evaluations too many of whose bubbles failed are left out.
     """
+    optimizer = copy(untold)
     counted = [i for i, gain in enumerate(gains) if math.isfinite(gain.value)]
     if not counted:
-        return 0.0
+        return optimizer, 0.0
     kept = [gains[i] for i in counted]
     base = pending.value if pending else 0.0
     values = tensor([gain.value - base for gain in kept])
@@ -189,12 +189,12 @@ def _tell_gains(
     own = errors.own.clamp_min(1e-8)
     cost = optimizer.space.cost(designs[counted])
     optimizer.tell(designs[counted], (values / cost)[:, None], (own / cost**2)[:, None])
-    return errors.common
+    return optimizer, errors.common
 
 
 def _search_one(
     acquisition: ExpectedInformationGain,
-    make_optimizer: Callable[[], DesignOptimizer],
+    untold: DesignOptimizer,
     seed: int,
     evaluations: int,
     batch: int,
@@ -204,7 +204,7 @@ def _search_one(
 
     Args:
         acquisition: the gain, with all that is pending.
-        make_optimizer: makes one that was told nothing.
+        untold: an optimizer that was told nothing; not changed.
         seed: of the draws.
         evaluations: designs to evaluate.
         batch: of which together, after the first.
@@ -224,8 +224,7 @@ def _search_one(
             )
     gains: list[InformationGain] = []
     while len(gains) < evaluations:
-        optimizer = make_optimizer()
-        _tell_gains(optimizer, designs, gains, pending)
+        optimizer, _ = _tell_gains(untold, designs, gains, pending)
         failed = designs[[row for row, gain in enumerate(gains) if gain.failed]]
         count = min(batch if gains else optimizer.initial, evaluations - len(gains))
         for design in optimizer.ask(count, pending=failed):
@@ -239,8 +238,7 @@ def _search_one(
                     f"EIG {gain.value:.3f} +- {gain.variance**0.5:.3f} nats"
                 )
                 progress(ProgressLine(text, step="design", done=len(gains), of=evaluations))
-    optimizer = make_optimizer()
-    common = _tell_gains(optimizer, designs, gains, pending)
+    optimizer, common = _tell_gains(untold, designs, gains, pending)
     best = optimizer.recommend()
     cost = float(optimizer.space.cost(best.design[None]))
     sd = math.sqrt((cost * best.sd) ** 2 + common)  # with the part that is common to all gains

@@ -79,7 +79,7 @@ class DesignSpace:
             raise ShapeError(f"X has shape {tuple(X.shape)}; expected ... x 2 with {DESIGN_NAMES}.")
         slack = 1e-9 * (self.bounds[1] - self.bounds[0])
         inside = ((self.bounds[0] - slack <= X) & (self.bounds[1] + slack >= X)).all(-1)
-        if not bool(inside.all()):
+        if not inside.all():
             row = X[~inside][0].tolist()
             raise InputDataError(
                 f"Design (We, R_inf*) = ({row[0]:g}, {row[1]:g}) is outside We {list(self.weber)}, "

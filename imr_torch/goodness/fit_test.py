@@ -156,7 +156,7 @@ def _move_to_noise(
     and is longer than ``far`` posterior standard deviations in all.
     """
     line = linearise_fit(fit, batch, simulator)
-    if float((line.basis.mT @ line.residual).norm()) < far:
+    if (line.basis.mT @ line.residual).norm() < far:
         return fit, line
     posterior = Posterior(fit.prior, batch, simulator)
     step = line.to_shift @ line.residual
@@ -164,10 +164,10 @@ def _move_to_noise(
         near = posterior.neighbourhood(
             posterior.point_at(posterior.coordinates_of(fit.point) + factor * step)
         )
-        if not bool(torch.isfinite(near.centre).all()):
+        if not torch.isfinite(near.centre).all():
             continue
         own = whiten_rows(near)
-        if float(own.residual.square().sum()) < float(line.residual.square().sum()):
+        if own.residual.square().sum() < line.residual.square().sum():
             moved = replace(
                 fit, mean=near.point.gel, nuisances=near.point.nuisances, prediction=near.centre
             )

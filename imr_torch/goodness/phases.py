@@ -57,7 +57,7 @@ def _read_clock(times: Tensor, radius: Tensor, mask: Tensor) -> Tensor:
     first, second = (collapse_time(t, r, number) for number in (1, 2))
     first = RAYLEIGH_TIME if math.isinf(first) else first
     later = (t > first) & (t < second)
-    top = float(t[later][r[later].argmax()]) if bool(later.any()) else 2.0 * first
+    top = float(t[later][r[later].argmax()]) if later.any() else 2.0 * first
     second = 2.0 * top - first if math.isinf(second) else second
     knots = (0.0, first, top, second, second + (second - first))
     clock = make_interp_spline(knots, (0.0, 1.0, 1.5, 2.0, 3.0), k=1)  # extrapolates the last piece

@@ -9,6 +9,7 @@ from imr_torch.app.workspace import LARGEST_FILE, Workspace, check_name
 from imr_torch.errors import InputDataError
 from imr_torch.files import read_json
 from imr_torch.observe import prepare
+from tests.refusals import refused
 
 
 def workspace(tmp_path: Path) -> Workspace:
@@ -30,7 +31,7 @@ def workspace(tmp_path: Path) -> Workspace:
     ],
 )
 def test_that_names_and_sizes_are_checked(name, size, text):
-    with pytest.raises(InputDataError, match=text):
+    with refused(text):
         check_name(name, size)
 
 
@@ -89,7 +90,7 @@ def test_that_a_folder_is_found_again_as_it_was_left(tmp_path):
 
 def test_that_wrong_statements_change_nothing(tmp_path):
     made = workspace(tmp_path)
-    with pytest.raises(InputDataError, match="density is 1; expected"):
+    with refused("density is 1; expected"):
         made.change_setting("medium", "density=1")
     with pytest.raises(InputDataError):
         made.change_setting("layout", "radius")

@@ -14,6 +14,7 @@ from imr_torch.assimilate.basins import deeper_nuisances, other_basins
 from imr_torch.float64 import linspace, ones, tensor, zeros
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, predict
+from imr_torch.random import generator
 from imr_torch.simulate import EARLIEST
 from tests.formula import FormulaSimulator
 from tests.linear import BOTH, MEANS, NHKV, NOISE, SDS, experiments, fit_linear, prior
@@ -31,7 +32,7 @@ class WavySimulator(FormulaSimulator):
 
     fails: bool = False
 
-    def formula(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Tensor:
+    def formula(self, parameters, designs, times):
         gel = torch.zeros_like(times)
         for j, name in enumerate(("G", "mu")):
             size = parameters[:, PARAMETERS.index([name])] / SDS[name]
@@ -51,7 +52,7 @@ TRUTH = tensor([[0.0, 0.4, 0.2], [0.0, -0.7, -0.5], [0.0, 0.1, 0.6]])
 def shot(nuisance: Nuisance) -> ExperimentBatch:
     """Curves with errors of their own, of a gel at the prior's mean."""
     plan = experiments(3, nuisance=nuisance)
-    source = torch.Generator().manual_seed(4)
+    source = generator(4)
     gel = PARAMETERS.pack({name: tensor(MEANS[name]) for name in ("G", "mu")})
     clean = predict(WavySimulator(), gel, plan, TRUTH * plan.nuisance_sds)
     made = []
@@ -96,7 +97,7 @@ def test_that_the_deepest_basin_of_each_experiment_is_found_and_a_right_one_kept
 def test_that_basins_are_found_where_a_scan_reaches_back_to_before_there_is_a_bubble():
     batch = shot(Nuisance(time_zero=0.4, rest_radius=0.3))
     places = off([1.0, 0.0, -1.0], 0.4)[None]
-    assert float(batch.times[:, 0].min() + 0.4 * (places[..., 1].min() - 3.0)) < EARLIEST
+    assert batch.times[:, 0].min() + 0.4 * (places[..., 1].min() - 3.0) < EARLIEST
     found = deepest(places, batch)
     assert_close(found[0, :, 1], TRUTH[:, 1], rtol=0.0, atol=0.15)
 

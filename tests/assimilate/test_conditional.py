@@ -4,6 +4,7 @@ that does for weighing.
 
 import pytest
 import torch
+from torch.testing import assert_close
 
 from imr_torch.assimilate import (
     Point,
@@ -49,5 +50,5 @@ def test_that_one_step_is_exact_where_nuisances_are_linear(noise, start, fitted)
     found, root = posterior.fit_nuisances(Point(gels, guess), beside=beside)
     for i in range(4):
         mean, hessian = closed_form(part.to_si(gels[i]), batch, simulator)
-        torch.testing.assert_close(found[i], mean, rtol=1e-5, atol=1e-6)
-        torch.testing.assert_close(root[i] @ root[i].mT, hessian, rtol=1e-5, atol=1e-6)
+        assert_close(found[i], mean, rtol=1e-5, atol=1e-6)
+        assert_close(root[i] @ root[i].mT, hessian, rtol=1e-5, atol=1e-6)

@@ -23,7 +23,7 @@ def test_that_points_follow_each_other_closely_through_a_collapse():
     fit = assimilate(wide_prior(["nhkv"]), batch, SIMULATOR, seed=0, options=options)["nhkv"]
     times, radius = dense_curve(fit, batch, SIMULATOR, points=400)
     assert times.shape == radius.shape == (1, 400)
-    assert bool((times.diff(dim=1) > 0.0).all())
+    assert (times.diff(dim=1) > 0.0).all()
     steps = torch.hypot(times.diff(dim=1) / float(times.max()), radius.diff(dim=1))
-    assert float(steps.max()) < 5.0 * float(steps.sum()) / 399.0
-    assert float(radius.min()) < float(fit.prediction.min())  # between two frames
+    assert steps.max() < 5.0 * steps.sum() / 399.0
+    assert radius.min() < fit.prediction.min()  # between two frames

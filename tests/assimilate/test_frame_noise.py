@@ -27,6 +27,7 @@ from imr_torch.random import generator
 from tests.gap.synthetic import BASE, DESIGNS, GEL, SIMULATOR, fit
 from tests.linear import LinearSimulator, tensor
 from tests.linear import prior as linear_prior
+from tests.tables import for_each
 
 
 def shoot(
@@ -128,7 +129,7 @@ LAWS = {
 }
 
 
-@pytest.mark.parametrize("noise", LAWS.values(), ids=LAWS)
+@for_each("noise", LAWS)
 @pytest.mark.parametrize(
     "effect", [{}, {"wall": 0.2}, {"clock": 0.04}], ids=["right", "wall", "clock"]
 )
@@ -189,7 +190,7 @@ def test_that_what_is_known_of_the_scale_is_what_repeated_inference_scatters_by(
         [one.law.sd(tensor(0.5), tensor(1.5)) for one in found], dtype=torch.float64
     ).log()
     stated = torch.tensor([one.laws.log_scale_sd for one in found]).mean()
-    assert 0.5 < float(logs.std() / stated) < 1.8
+    assert 0.5 < logs.std() / stated < 1.8
 
 
 def test_that_one_noisy_curve_has_a_factor_of_its_own_and_even_curves_have_none():

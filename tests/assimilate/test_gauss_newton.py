@@ -6,6 +6,7 @@ from torch import Tensor
 
 from imr_torch.assimilate import NormalEquations, normal_equations
 from imr_torch.float64 import eye, randn, zeros
+from imr_torch.random import generator
 
 SIZE = 3
 EXPERIMENTS = 4
@@ -13,7 +14,7 @@ FRAMES = 7
 
 
 def random(*shape: int, seed: int) -> Tensor:
-    return randn(*shape, generator=torch.Generator().manual_seed(seed))
+    return randn(*shape, generator=generator(seed))
 
 
 def problem(*batch: int, seed: int = 0) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
@@ -58,7 +59,7 @@ def test_that_the_whitened_gradient_is_the_newton_decrement_of_the_dense_system(
     given = problem(seed=seed)
     hessian, gradient = dense(*given)
     expected = (gradient @ torch.linalg.solve(hessian, gradient)).sqrt()
-    assert float(assembled(*given).whitened_gradient) == pytest.approx(float(expected), rel=1e-10)
+    assert assembled(*given).whitened_gradient == pytest.approx(float(expected), rel=1e-10)
 
 
 def test_that_sensitivities_of_any_size_leave_a_definite_hessian_and_a_factor_of_its_inverse():
@@ -70,8 +71,8 @@ def test_that_sensitivities_of_any_size_leave_a_definite_hessian_and_a_factor_of
     ]  # a nuisance that moves the curve as the gel does: the elimination cancels
     found = assembled(gel, nuisances, by_gel, by_nuisance, residual)
     smooth = assembled(gel[:3], nuisances[:3], by_gel[:3], by_nuisance[:3], residual[:3])
-    assert bool((torch.linalg.cholesky_ex(found.reduced.hessian).info == 0).all())
-    assert bool(torch.isfinite(found.posterior_chol).all())
-    assert bool((found.posterior_chol.diagonal(dim1=-2, dim2=-1) > 0.0).all())
-    assert bool(torch.isfinite(found.whitened_gradient).all())
+    assert (torch.linalg.cholesky_ex(found.reduced.hessian).info == 0).all()
+    assert torch.isfinite(found.posterior_chol).all()
+    assert (found.posterior_chol.diagonal(dim1=-2, dim2=-1) > 0.0).all()
+    assert torch.isfinite(found.whitened_gradient).all()
     assert torch.allclose(found.posterior_chol[:3], smooth.posterior_chol, rtol=1e-12)

@@ -30,8 +30,8 @@ def test_that_kernels_on_a_single_heavy_point_still_have_a_shape_and_reach_out()
     log_weights = zeros(200)
     log_weights[7] = 500.0
     proposal = Kernels.through_draws(points, log_weights)
-    assert float(effective_size(proposal.weights[:-1])) == pytest.approx(30.0, rel=0.01)
-    assert float(proposal.chol.diagonal().min()) > 1.0
+    assert effective_size(proposal.weights[:-1]) == pytest.approx(30.0, rel=0.01)
+    assert proposal.chol.diagonal().min() > 1.0
 
 
 @pytest.mark.parametrize("shape", [0.2, 0.5, 0.8, 1.2])
@@ -51,7 +51,7 @@ def test_that_too_few_weights_are_never_reliable(count):
 def test_that_weights_a_thousand_nats_apart_are_judged_without_underflow():
     log_weights = -linspace(0.0, 1e5, 500)
     smoothed, shape = smooth_tail(log_weights)
-    assert not bool(torch.isnan(smoothed).any())
+    assert not torch.isnan(smoothed).any()
     assert shape > 1.0
 
 
@@ -104,10 +104,10 @@ def test_that_moments_and_evidence_of_a_gaussian_come_out_within_their_errors():
     assert sample.reliable
     assert sample.failed == 0
     assert sample.log_evidence == pytest.approx(-7.0, abs=4.0 * sample.log_evidence_error)
-    assert bool(((sample.mean - MEAN).abs() < 4.0 * mean_error(sample)).all())
+    assert ((sample.mean - MEAN).abs() < 4.0 * mean_error(sample)).all()
     sds = (CHOL @ CHOL.mT).diagonal().sqrt()
-    assert bool(((sample.covariance.diagonal().sqrt() - sds).abs() < 4.0 * sd_error(sample)).all())
-    assert float(mean_error(sample).max()) < 0.03
+    assert ((sample.covariance.diagonal().sqrt() - sds).abs() < 4.0 * sd_error(sample)).all()
+    assert mean_error(sample).max() < 0.03
 
 
 def test_that_draws_correct_the_gaussian_about_the_mode_of_a_skewed_posterior():
@@ -133,9 +133,9 @@ def test_that_draws_correct_the_gaussian_about_the_mode_of_a_skewed_posterior():
         weighted.append((float(sample.mean), float(sample.covariance.sqrt())))
     moments = tensor(*found)
     plain = tensor(*weighted)
-    assert abs(float(mode) - mean) > 0.15 * sd  # what is to be corrected
+    assert abs(mode - mean) > 0.15 * sd  # what is to be corrected
     torch.testing.assert_close(moments.mean(0), tensor(mean, sd), rtol=0.0, atol=0.01 * sd)
-    assert bool((moments.std(0) < 0.8 * plain.std(0)).all())
+    assert (moments.std(0) < 0.8 * plain.std(0)).all()
 
 
 def test_that_errors_of_moments_are_the_scatter_over_seeds():
@@ -151,14 +151,14 @@ def test_that_errors_of_moments_are_the_scatter_over_seeds():
             torch.stack([sd_error(s)[1] for s in samples]),
         ),
     ):
-        assert float(value.std()) == pytest.approx(float(error.square().mean().sqrt()), rel=0.25)
+        assert value.std() == pytest.approx(float(error.square().mean().sqrt()), rel=0.25)
 
 
 def test_that_resampling_takes_each_draw_in_proportion_to_its_weight():
     sample = gaussian_sample(1.5, 2)
     chosen = sample.resample_draws(5000, generator(0))
     counts = torch.bincount(chosen, minlength=len(sample))
-    assert bool(((counts - 5000 * sample.weights).abs() <= 1.0 + 1e-9).all())
+    assert ((counts - 5000 * sample.weights).abs() <= 1.0 + 1e-9).all()
     assert not torch.equal(chosen, chosen.sort().values)
 
 

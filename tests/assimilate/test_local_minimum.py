@@ -38,7 +38,7 @@ class Circle(LinearSimulator):
     Newton's, so each of their steps goes only that share of the way.
     """
 
-    def formula(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Tensor:
+    def formula(self, parameters, designs, times):
         stiff, turn = (
             (parameters[:, PARAMETERS.index([n])] - MEANS[n]) / SDS[n] for n in ("G", "mu")
         )
@@ -50,10 +50,10 @@ class Circle(LinearSimulator):
 class Rough(Circle):
     """A solver whose steps, those of the leader, change every radius by as much as moves the minimum noticeably."""
 
-    def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+    def __call__(self, parameters, designs, times):
         return self._rough(super().__call__(parameters, designs, times), parameters)
 
-    def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+    def bundle(self, parameters, designs, times):
         smooth = super().__call__(parameters, designs, times)
         return self._rough(smooth, parameters[..., :1, :])
 
@@ -66,7 +66,7 @@ class Rough(Circle):
 class FailsFarFromLeader(Circle):
     """Bubbles fail by the solver steps of a leader whose turn is more than .3 from theirs, not by their own."""
 
-    def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+    def bundle(self, parameters, designs, times):
         made = self(parameters, designs, times)
         turn = parameters[..., PARAMETERS.index(["mu"])[0], None] / SDS["mu"]
         near = (turn - turn[..., :1, :]).abs() < 0.3
@@ -90,7 +90,7 @@ def fitted(simulator: Simulator, nuisance: Nuisance | None = None):
 def test_that_a_fit_arrives_where_gauss_newton_alone_would_not(monkeypatch, nuisance):
     arrived = fitted(Circle(), nuisance)
     assert arrived.certificate.converged
-    assert float(arrived.mean[1]) == pytest.approx(TURN, abs=0.05)  # the prior pulls
+    assert arrived.mean[1] == pytest.approx(TURN, abs=0.05)  # the prior pulls
     monkeypatch.setattr(_FrozenCost, "_update_curvature", lambda *_: None)
     alone = fitted(Circle(), nuisance)
     assert not alone.certificate.converged
@@ -114,8 +114,8 @@ def test_that_a_minimum_is_one_under_the_solver_steps_of_the_leader_and_under_no
     same = posterior.neighbourhood(end.point, leader=end.leader).equations
     beside = Point(end.leader.gel + 1e-3, end.leader.nuisances)
     other = posterior.neighbourhood(end.point, leader=beside).equations
-    assert float(same.whitened_gradient) == pytest.approx(end.gradient)
-    assert float(other.whitened_gradient) > 3.0 * search.options.gradient
+    assert same.whitened_gradient == pytest.approx(end.gradient)
+    assert other.whitened_gradient > 3.0 * search.options.gradient
 
 
 def barred() -> Posterior:
@@ -131,8 +131,8 @@ def test_that_a_point_where_bubbles_fail_is_not_taken():
     posterior = barred()
     begun = Point(STARTS[0], posterior.mean_nuisances())
     ended = descend_from(posterior, begun, begun, gradient=1e-3, iterations=30)
-    assert ended.cost < -float(posterior.log_joint(begun))
-    assert 0.5 < float(ended.point.gel[1]) < 0.8
+    assert ended.cost < -posterior.log_joint(begun)
+    assert 0.5 < ended.point.gel[1] < 0.8
 
 
 def test_that_a_search_ends_where_failing_bubbles_bar_every_way_down():
@@ -157,7 +157,7 @@ def test_that_a_search_begins_with_coarse_bubbles_and_ends_with_the_simulators_o
     first = search.approach_first()
     coarse = posterior.coarse.neighbourhood(search.starts[0]).equations.whitened_gradient
     assert first < before
-    assert float(coarse) < 30.0  # with the frames next to collapses
+    assert coarse < 30.0  # with the frames next to collapses
     search.find_lowest()
     end = search.lowest
     assert end.gradient < search.options.gradient

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 import pytest
 import torch
-from torch import Tensor
 
 from imr_torch.assimilate import Point, Posterior, SearchOptions, starts
 from imr_torch.float64 import arange, linspace, randn, zeros
@@ -25,7 +24,7 @@ CASES = 24
 class CuspedSimulator(FormulaSimulator):
     """A collapse as a cusp, at a time that G sets, and a rebound whose height mu sets."""
 
-    def formula(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Tensor:
+    def formula(self, parameters, designs, times):
         g, mu = (
             (parameters[:, PARAMETERS.index([name])] - MEANS[name]) / SDS[name]
             for name in ("G", "mu")
@@ -74,7 +73,7 @@ def test_which_frames_are_next_to_a_collapse():
     kept = starts.away_from_collapses(arange(10), radius)
     assert kept.tolist() == [True, True, False, False, False, True, True, True, False, False]
     for short in (tensor(1.0, 1.0, 1.0), tensor(1.0, 0.2, 0.9)):
-        assert bool(starts.away_from_collapses(arange(3), short).all())
+        assert starts.away_from_collapses(arange(3), short).all()
 
 
 @dataclass(frozen=True)
@@ -83,7 +82,7 @@ class CountingSimulator(CuspedSimulator):
 
     calls: list[int] = field(default_factory=list)
 
-    def formula(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Tensor:
+    def formula(self, parameters, designs, times):
         self.calls.append(len(parameters))
         return super().formula(parameters, designs, times)
 
@@ -120,5 +119,5 @@ def test_that_no_gel_costs_less_than_a_prediction_that_meets_every_frame():
     posterior = Posterior(NHKV.models[0], batch, CuspedSimulator())
     gels = torch.cat((zeros(1, 2), randn(50, 2, generator=generator(1))))
     costs = -posterior.log_joint(Point(gels, posterior.mean_nuisances(len(gels))))
-    assert float(costs[0]) == pytest.approx(posterior.least_cost, abs=1e-9)
-    assert float(costs[1:].amin()) > posterior.least_cost
+    assert costs[0] == pytest.approx(posterior.least_cost, abs=1e-9)
+    assert costs[1:].amin() > posterior.least_cost

@@ -13,6 +13,7 @@ from imr_torch.assimilate import (
 )
 from imr_torch.float64 import linspace
 from imr_torch.observe import Experiment, ExperimentBatch
+from imr_torch.random import generator
 from tests.linear import NHKV, NOISE, LinearSimulator, prior, tensor
 
 OPTIONS = SearchOptions(raw_samples=24, starts=2)
@@ -22,7 +23,7 @@ DESIGNS = ((200.0, 0.2), (500.0, 0.25), (900.0, 0.15))
 
 def filmed(scale: float, repeats: int, correlation_time: float = 0.0) -> ExperimentBatch:
     """Experiments on a gel of stiffness 5600 Pa, their noise a multiple of the law that the batch states."""
-    source = torch.Generator().manual_seed(repeats)
+    source = generator(repeats)
     simulator = LinearSimulator()
     belief = NHKV.models[0]
     gel = belief.parameters(tensor(0.5, -0.3))
@@ -57,9 +58,9 @@ def test_that_the_scale_is_found_and_intervals_widen_with_it(repeats):
         found.batch.of_frames.noise.sd(tensor(0.5), TIMES).mean()
         / NOISE.sd(tensor(0.5), TIMES).mean()
     )
-    assert float(level) == pytest.approx(3.0, rel=0.15)  # 180 residuals: 5 % by chance
+    assert level == pytest.approx(3.0, rel=0.15)  # 180 residuals: 5 % by chance
     wider = (found["nhkv"].chol.diagonal() / stated["nhkv"].chol.diagonal()).mean()
-    assert float(wider) == pytest.approx(3.0, rel=0.2)
+    assert wider == pytest.approx(3.0, rel=0.2)
 
 
 def test_that_noise_is_estimated_from_repeats_with_gaps_too():
@@ -76,9 +77,7 @@ def test_that_noise_is_estimated_from_repeats_with_gaps_too():
         whole.batch.of_frames.noise.scale, rel=0.05
     )
     apart = (gaps["nhkv"].mean - whole["nhkv"].mean).abs()
-    assert bool(
-        (apart < 0.5 * whole["nhkv"].chol.norm(dim=1)).all()
-    )  # 10 frames of 1440 are missing
+    assert (apart < 0.5 * whole["nhkv"].chol.norm(dim=1)).all()  # 10 frames of 1440 are missing
 
 
 def test_that_a_model_that_misses_the_data_keeps_the_noise_of_the_camera_and_pays_in_its_intervals():

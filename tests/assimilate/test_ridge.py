@@ -30,8 +30,8 @@ def test_that_a_bent_posterior_is_covered_to_its_ends(bend, seed):
     assert sample.rounds <= 3
     assert sample.effective_samples > 100.0
     sds, found = (c.diagonal().sqrt() for c in (truth.covariance, sample.covariance))
-    assert bool(((sample.mean - truth.mean).abs() < 4.0 * mean_error(sample)).all())
-    assert bool(((found - sds).abs() < 4.0 * sd_error(sample)).all())
+    assert ((sample.mean - truth.mean).abs() < 4.0 * mean_error(sample)).all()
+    assert ((found - sds).abs() < 4.0 * sd_error(sample)).all()
     assert sample.log_evidence == pytest.approx(
         truth.log_evidence, abs=4.0 * sample.log_evidence_error
     )
@@ -44,8 +44,8 @@ def test_that_nuisances_go_along_the_ridge():
     batch = experiments(2, nuisance=nuisance)
     fits = fit_linear(batch, simulator)
     proposal = trace_ridge(fits.fits[0], Posterior(fits.fits[0].prior, batch, simulator))
-    assert float(proposal.weights[0]) < 2e-3
-    assert float(proposal.weights[-2]) < 2e-3
+    assert proposal.weights[0] < 2e-3
+    assert proposal.weights[-2] < 2e-3
     assert weigh(fits, simulator, seed=0).fits[0].sample.reliable
 
 
@@ -75,9 +75,9 @@ def test_that_a_repaired_belief_hands_on_a_cloud_with_the_width_that_it_has_loca
     moments = torch.linalg.slogdet(bent.chol @ bent.chol.mT).logabsdet
     local = -torch.linalg.slogdet(bent.cloud.precisions).logabsdet
     assert len(local) == 64
-    assert float((moments - local).median()) > 2.0
+    assert (moments - local).median() > 2.0
     assert_close(bent.cloud.controls.mean(0), bent.mean, rtol=0.0, atol=0.15)
     scatter = torch.cov(bent.cloud.controls.mT).diagonal().sqrt() / torch.linalg.norm(
         bent.chol, dim=1
     )
-    assert bool(((scatter > 0.85) & (scatter < 1.15)).all())
+    assert ((scatter > 0.85) & (scatter < 1.15)).all()

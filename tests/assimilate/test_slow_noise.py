@@ -65,7 +65,7 @@ def test_that_evidence_beside_slow_noise_is_that_of_dense_algebra():
     with_one = [mean_of_amounts(more[k : k + 1]) for k in range(2)]
     assert beside.log_evidence_with(rows).tolist() == pytest.approx(with_one, abs=1e-8)
     both = beside.with_column(rows[:, 0]).log_evidence_with(rows[:, 1:])
-    assert float(both) == pytest.approx(mean_of_amounts(more), abs=1e-8)
+    assert both == pytest.approx(mean_of_amounts(more), abs=1e-8)
 
 
 def test_that_quiet_curves_have_no_smooth_deviation():

@@ -4,11 +4,13 @@ independent and under correlated noise.
 
 import pytest
 import torch
+from torch.testing import assert_close
 
 from imr_torch.assimilate import SearchOptions, assimilate_estimating_noise
 from imr_torch.assimilate.spikes import frames_left_out
 from imr_torch.float64 import linspace, randn
 from imr_torch.observe import Experiment, ExperimentBatch, Nuisance
+from imr_torch.random import generator
 from tests.linear import CORRELATED, NHKV, NOISE, LinearSimulator, tensor
 
 PRIOR = NHKV
@@ -21,7 +23,7 @@ SD = 0.05
 
 def film(seed: int, bad: dict[int, float], law=NOISE, repeats: int = 1) -> ExperimentBatch:
     """One curve with errors, in standard deviations of the noise, added to some frames."""
-    source = torch.Generator().manual_seed(seed)
+    source = generator(seed)
     gel = randn(2, generator=source)
     clean = SIMULATOR(PART.to_si(gel), tensor(400.0, 0.2), TIMES).radius
     seen = law.draw(clean, TIMES, repeats, generator=source)
@@ -58,10 +60,10 @@ def test_that_the_fit_is_that_of_the_curve_without_them():
     good = ExperimentBatch((batch.curves[0].at(kept),), NOISE)
     found = fit(batch)["nhkv"]
     expected = fit(good)["nhkv"]
-    torch.testing.assert_close(found.mean, expected.mean, rtol=0.0, atol=1e-2)
-    torch.testing.assert_close(found.chol, expected.chol, rtol=1e-2, atol=1e-3)
+    assert_close(found.mean, expected.mean, rtol=0.0, atol=1e-2)
+    assert_close(found.chol, expected.chol, rtol=1e-2, atol=1e-3)
     spoilt = fit(batch, rounds=0)["nhkv"]
-    assert float((spoilt.mean - expected.mean).abs().max()) > 0.05
+    assert (spoilt.mean - expected.mean).abs().max() > 0.05
 
 
 def test_that_repeats_say_themselves_what_is_usual():

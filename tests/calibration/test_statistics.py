@@ -10,6 +10,7 @@ from scipy import stats
 
 from imr_torch.calibration import coverage, envelope, uniformity
 from imr_torch.float64 import arange, rand, tensor
+from imr_torch.random import generator
 from tests.refusals import refusals
 
 
@@ -19,7 +20,7 @@ def grid(n):
 
 
 def uniform(n, seed=0):
-    return rand(n, generator=torch.Generator().manual_seed(seed))
+    return rand(n, generator=generator(seed))
 
 
 def test_that_a_uniform_grid_passes_and_its_bins_are_equal():

@@ -11,12 +11,12 @@ import pytest
 from imr_torch.assimilate import SearchOptions
 from imr_torch.campaign import Campaign, CampaignSettings, ExactLearner, Journal, Optimal, Random
 from imr_torch.design import Laplace, Plan
-from imr_torch.errors import InputDataError
 from imr_torch.float64 import linspace, tensor
 from imr_torch.material import PARAMETERS, reference_case
 from imr_torch.observe import Noise, SimulatedLaboratory
 from imr_torch.random import child
 from imr_torch.simulate import PolytropicSimulator, Stepping
+from tests.refusals import refused
 
 CASE = reference_case("soft-pa")
 SIMULATOR = PolytropicSimulator(stepping=Stepping(0.25))
@@ -65,9 +65,9 @@ def test_the_journal_holds_what_was_asked_measured_and_concluded(finished):
 
 
 def test_a_journal_of_another_campaign_is_refused_and_says_what_differs(finished):
-    with pytest.raises(InputDataError, match="journal of another campaign: seed differ"):
+    with refused("journal of another campaign: seed differ"):
         campaign(finished.journal.folder, seed=1)
-    with pytest.raises(InputDataError, match=r"prior[^ ]*, note\.case differ"):
+    with refused(r"prior[^ ]*, note\.case differ"):
         campaign(finished.journal.folder, prior=reference_case("stiff-pa").prior, note={})
 
 
@@ -75,10 +75,10 @@ def test_a_changed_or_missing_curve_file_is_refused(finished, tmp_path):
     shutil.copytree(finished.journal.folder, tmp_path / "bad")
     curves = tmp_path / "bad" / "experiment_001.npz"
     curves.write_bytes(curves.read_bytes()[:-1] + b"x")
-    with pytest.raises(InputDataError, match="not the one the journal recorded"):
+    with refused("not the one the journal recorded"):
         campaign(tmp_path / "bad")
     curves.unlink()
-    with pytest.raises(InputDataError, match="names this file and it is missing"):
+    with refused("names this file and it is missing"):
         campaign(tmp_path / "bad")
 
 

@@ -9,7 +9,6 @@ import pytest
 
 from benchmarks.interruptions import Disk, compare, forked, left_over
 from imr_torch.campaign import Campaign
-from imr_torch.cli import main
 from tests.campaign.test_telling import campaign, shoot
 from tests.journals import cut
 from tests.linear import tensor
@@ -99,7 +98,7 @@ def test_that_a_campaign_cut_within_any_line_is_resumed_to_the_same_journal(whol
 
 
 def test_that_ctrl_c_is_one_line_that_says_what_is_kept_and_how_to_go_on(
-    tmp_path, capsys, monkeypatch
+    tmp_path, said_by, monkeypatch
 ):
     out = tmp_path / "gel"
     shots = "--case soft-pa --policy random --designs 1"
@@ -109,8 +108,7 @@ def test_that_ctrl_c_is_one_line_that_says_what_is_kept_and_how_to_go_on(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Campaign, "learn_outstanding", interrupted)
-    assert main(base) == 130
-    said = capsys.readouterr().err
+    said = said_by(base, 130)
     assert (
         said
         == f"imr-torch: interrupted; what was finished is in {out / 'journal.jsonl'}, continue with --resume\n"

@@ -43,7 +43,7 @@ class LinearCamera(FormulaSimulator):
             (torch.sin(w * k), torch.cos(2.0 * w * k), 0.6 * k.expand(*w.shape[:-1], 7)), -1
         ) / torch.tensor(self.units)
 
-    def formula(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Tensor:
+    def formula(self, parameters, designs, times):
         gel = (self.columns(designs[:, 0]) @ parameters[:, INDEX, None])[..., 0]
         return 1.0 + TIME_SLOPE * times + REST_SLOPE * designs[:, 1:] + gel
 

@@ -17,9 +17,10 @@ from imr_torch.design import (
     Laplace,
     search_design,
 )
-from imr_torch.errors import InputDataError, UnsupportedError
+from imr_torch.errors import UnsupportedError
 from imr_torch.float64 import tensor
 from tests.design.linear_camera import DESIGNS, ONE, TWO, LinearCamera, acquisition, exact, plan
+from tests.refusals import refused
 
 THIRD = tensor([[150.0, 0.16]])
 NO_GRAD = {"with_grad": False, "maxiter": 5}
@@ -40,10 +41,10 @@ def test_that_pending_designs_count_in_the_joint_gain_and_none_restores_the_gain
     gain = acquisition()
     alone = gain(THIRD[None])
     gain.set_X_pending(DESIGNS)
-    assert float(gain(THIRD[None])) == pytest.approx(
+    assert gain(THIRD[None]) == pytest.approx(
         exact(ONE, torch.cat((THIRD, DESIGNS)), plan()), rel=1e-7
     )
-    assert float(gain(THIRD[None])) > float(alone) + 0.5
+    assert gain(THIRD[None]) > alone + 0.5
     assert gain.estimate(DESIGNS[:0]).value == pytest.approx(exact(ONE, DESIGNS, plan()), rel=1e-7)
     gain.set_X_pending(None)
     assert torch.equal(gain(THIRD[None]), alone)
@@ -51,9 +52,7 @@ def test_that_pending_designs_count_in_the_joint_gain_and_none_restores_the_gain
 
 def test_that_asking_for_gradients_says_what_to_use_instead():
     gain = acquisition()
-    with pytest.raises(
-        UnsupportedError, match=r'options=\{"with_grad": False\}, or use search_design'
-    ):
+    with refused(r'options=\{"with_grad": False\}, or use search_design', UnsupportedError):
         optimize_acqf(gain, gain.space.bounds, q=1, num_restarts=1, raw_samples=2)
     with torch.no_grad():
         assert torch.isfinite(gain(DESIGNS[None].clone().requires_grad_(True))).all()
@@ -66,7 +65,7 @@ def test_that_optimize_acqf_finds_at_least_the_better_of_two_designs():
             gain, gain.space.bounds, q=1, num_restarts=1, raw_samples=16, options=NO_GRAD
         )
     assert best.shape == (1, 2)
-    assert float(value) >= float(gain(DESIGNS[:, None]).max()) - 0.05
+    assert value >= gain(DESIGNS[:, None]).max() - 0.05
 
 
 def test_that_sequential_greedy_takes_each_design_with_those_before_it_pending():
@@ -84,7 +83,7 @@ def test_that_sequential_greedy_takes_each_design_with_those_before_it_pending()
     assert best.shape == (2, 2)
     assert torch.equal(gain.X_pending, THIRD)
     joint = exact(ONE, torch.cat((best, THIRD)), plan())
-    assert float(values[-1]) == pytest.approx(joint, rel=1e-7)
+    assert values[-1] == pytest.approx(joint, rel=1e-7)
     assert joint > exact(ONE, torch.cat((best[:1], THIRD)), plan())
 
 
@@ -99,7 +98,7 @@ def test_that_the_gain_about_the_model_is_never_above_the_entropy_of_the_models(
     ]
     search = search_design(gain, seed=1, evaluations=4, initial=3)
     values.append(torch.tensor([g.value for g in search.gains]))
-    assert float(torch.cat([v.flatten().double() for v in values]).max()) <= ENTROPY + 1e-9
+    assert torch.cat([v.flatten().double() for v in values]).max() <= ENTROPY + 1e-9
     assert all(
         g.parameters == 0.0 and g.variance == g.of_target("model").variance for g in search.gains
     )
@@ -120,13 +119,11 @@ def test_that_the_targets_are_the_parts_of_the_whole(estimator):
     for gain in parts.values():
         assert gain.influence is not None
         influence = gain.influence.sum(1)
-        assert float(influence.square().sum()) == pytest.approx(gain.variance, rel=1e-9)
+        assert influence.square().sum() == pytest.approx(gain.variance, rel=1e-9)
 
 
 def test_that_an_unknown_target_is_refused():
-    with pytest.raises(
-        InputDataError, match="target is 'models'; expected one of parameters, model, both"
-    ):
+    with refused("target is 'models'; expected one of parameters, model, both"):
         acquisition(target="models")
 
 
@@ -143,7 +140,7 @@ class LogWeber(InformationEstimator):
 
 def test_that_an_estimator_from_outside_the_package_works_wherever_others_do():
     gain = ExpectedInformationGain(ONE, LinearCamera(), LogWeber(2.0))
-    assert float(gain(tensor([[[500.0, 0.2]]]))) == pytest.approx(3.0)
+    assert gain(tensor([[[500.0, 0.2]]])) == pytest.approx(3.0)
     best = search_design(gain, seed=0, evaluations=12, initial=6).recommendation
-    assert float(best.design[0]) == pytest.approx(500.0, rel=0.15)
+    assert best.design[0] == pytest.approx(500.0, rel=0.15)
     assert best.mean == pytest.approx(3.0, abs=0.05)

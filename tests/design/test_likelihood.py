@@ -9,6 +9,7 @@ from imr_torch.design.response import Shot, radii, simulate_response
 from imr_torch.float64 import eye, linspace, ones, tensor, zeros
 from imr_torch.material import reference_case
 from imr_torch.observe import Noise, Nuisance, displaced
+from imr_torch.random import generator
 from imr_torch.simulate import PolytropicSimulator, Stepping
 
 PRIOR = reference_case("stiff-pa").prior
@@ -28,11 +29,11 @@ def test_data_scatter_about_their_gel_as_the_plan_says():
     seen = simulate_response(shot(plan), PART, CONTROLS[:1].expand(4000, -1)[:1], gel=False)[
         torch.zeros(4000, dtype=torch.long)
     ]
-    data = observe_gels(seen, plan, torch.Generator().manual_seed(0))
+    data = observe_gels(seen, plan, generator(0))
     standard = (data.radius - seen.radius) / plan.noise.sd(seen.radius, TIMES) * 2.0
     covariance = torch.cov(standard[:, 0].mT)
     assert torch.allclose(covariance.diagonal(), ones(31), atol=0.12)
-    assert float(covariance.diagonal(1).mean()) == pytest.approx(
+    assert covariance.diagonal(1).mean() == pytest.approx(
         float(torch.exp(-(TIMES[1] - TIMES[0]) / 0.1)), abs=0.03
     )
 
@@ -47,9 +48,7 @@ def test_sensitivities_are_the_derivatives_of_what_is_seen():
         side[i] = step
         up, down = (radii(shot(plan), PART, CONTROLS + s * side) for s in (1.0, -1.0))
         difference = (up - down) / (2.0 * step)
-        assert float((seen.by_gel[..., i] - difference).abs().max()) < 0.02 * float(
-            difference.abs().max()
-        )
+        assert (seen.by_gel[..., i] - difference).abs().max() < 0.02 * difference.abs().max()
         curves = []
         for sign in (1.0, -1.0):
             shift = sign * 0.01 * nuisance.sds() * eye(3)[i]
@@ -61,6 +60,4 @@ def test_sensitivities_are_the_derivatives_of_what_is_seen():
                 * factor
             )
         difference = (curves[0] - curves[1]) / 0.02
-        assert float((seen.by_nuisance[..., i] - difference).abs().max()) < 0.02 * float(
-            difference.abs().max()
-        )
+        assert (seen.by_nuisance[..., i] - difference).abs().max() < 0.02 * difference.abs().max()

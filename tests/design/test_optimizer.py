@@ -11,9 +11,11 @@ from imr_torch.design import (
     Laplace,
     search_design,
 )
-from imr_torch.errors import InputDataError, ShapeError
+from imr_torch.errors import ShapeError
 from imr_torch.float64 import full, linspace, ones, randn, tensor
+from imr_torch.random import generator
 from tests.design.linear_camera import ONE, LinearCamera, plan
+from tests.refusals import refused
 
 SPACE = DesignSpace()
 PEAK = tensor([700.0, 0.2])
@@ -25,7 +27,7 @@ def utility(X):
 
 
 def run(evaluations, *, seed=0, sd=0.05):
-    noise = torch.Generator().manual_seed(seed)
+    noise = generator(seed)
     optimizer = DesignOptimizer(SPACE, seed=seed, initial=5)
     while len(optimizer.train_X) < evaluations:
         X = optimizer.ask()
@@ -50,8 +52,8 @@ def told(space, utility, *, points=None, sd=1e-3):
 
 def test_the_recommendation_finds_the_maximum_of_a_noisy_utility():
     best = run(12).recommend()
-    assert float(utility(best.design[None])) > 4.9
-    assert abs(best.mean - float(utility(best.design[None]))) < 5.0 * best.sd + 0.02
+    assert utility(best.design[None]) > 4.9
+    assert abs(best.mean - utility(best.design[None])) < 5.0 * best.sd + 0.02
 
 
 def test_the_recommendation_is_not_the_best_noisy_value():
@@ -60,8 +62,8 @@ def test_the_recommendation_is_not_the_best_noisy_value():
     poor = full((1, 1), float(utility(lucky)))
     for shift in (-1.0, 1.0, 6.0, -6.0):  # one lucky value among unlucky ones at a poor design
         optimizer.tell(lucky, poor + shift, full((1, 1), 20.0))
-    assert float(optimizer.train_Y.max()) > 4.0
-    assert float((optimizer.recommend().design - PEAK).abs()[1]) < 0.05
+    assert optimizer.train_Y.max() > 4.0
+    assert (optimizer.recommend().design - PEAK).abs()[1] < 0.05
 
 
 def test_the_same_tells_give_the_same_asks_whatever_the_global_generator_does():
@@ -103,7 +105,7 @@ def test_initial_asks_fill_the_space_and_do_not_repeat():
 def test_a_bad_tell_is_refused_and_nothing_is_recorded(changes, message):
     optimizer = DesignOptimizer(SPACE, seed=0)
     values = {"X": [300.0, 0.2], "Y": 1.0, "Yvar": 0.1} | changes
-    with pytest.raises(InputDataError, match=message):
+    with refused(message):
         optimizer.tell(*(tensor(v).reshape(1, -1) for v in values.values()))
     assert len(optimizer.train_X) == len(optimizer.train_Y) == 0
 
@@ -111,11 +113,11 @@ def test_a_bad_tell_is_refused_and_nothing_is_recorded(changes, message):
 def test_wrong_shapes_and_names_are_refused():
     optimizer = DesignOptimizer(SPACE, seed=0)
     one = ones(1, 1)
-    with pytest.raises(ShapeError, match=r"X has shape \(1, 1\); expected \.\.\. x 2"):
+    with refused(r"X has shape \(1, 1\); expected \.\.\. x 2", ShapeError):
         optimizer.tell(one, one, one)
-    with pytest.raises(InputDataError, match="tell expects X n x 2, Y n x 1"):
+    with refused("tell expects X n x 2, Y n x 1"):
         optimizer.tell(PEAK[None], one[0], one)
-    with pytest.raises(InputDataError, match="at least 2 told designs"):
+    with refused("at least 2 told designs"):
         optimizer.recommend()
 
 
@@ -127,7 +129,7 @@ def test_pending_designs_are_not_asked_again():
     asked = optimizer.ask()
     other = optimizer.ask(pending=asked)
     span = SPACE.bounds[1] - SPACE.bounds[0]
-    assert float(((other - asked) / span).norm()) > 0.02
+    assert ((other - asked) / span).norm() > 0.02
     assert torch.equal(optimizer.ask(pending=asked), other)
 
 
@@ -138,7 +140,7 @@ def test_failed_evaluations_are_recorded_not_told_and_not_asked_again():
     search = search_design(acquisition, seed=1, evaluations=9, initial=5)
     failed = torch.tensor([gain.failed for gain in search.gains])
     assert 0 < int(failed.sum()) < 7
-    assert bool((search.designs[failed, 0] > 600.0).all())
+    assert (search.designs[failed, 0] > 600.0).all()
     assert len(search.designs) == 9
     assert len(search.optimizer.train_X) == 9 - int(failed.sum())
     assert all(
@@ -161,5 +163,5 @@ class PartlyFailing(LinearCamera):
     "bad", [{"weber": (500.0, 100.0)}, {"weber": (0.0, 100.0)}, {"rest_radius": (0.2, 1.5)}]
 )
 def test_an_impossible_space_is_refused(bad):
-    with pytest.raises(InputDataError, match="expected 0 < lower < upper"):
+    with refused("expected 0 < lower < upper"):
         DesignSpace(**bad)

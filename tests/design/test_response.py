@@ -23,8 +23,8 @@ def test_the_window_holds_the_frames_that_an_assimilation_would_keep():
 
 def test_a_curve_without_that_many_collapses_keeps_all_frames():
     plan = Plan(times=linspace(0.0, 1.0, 11))
-    assert bool(plan.frames_in_window(torch.cos(plan.times)[None]).all())
-    assert bool(Plan(collapses=None).frames_in_window(torch.cos(9.0 * Plan().times)).all())
+    assert plan.frames_in_window(torch.cos(plan.times)[None]).all()
+    assert Plan(collapses=None).frames_in_window(torch.cos(9.0 * Plan().times)).all()
 
 
 test_an_impossible_plan_is_refused = refusals(

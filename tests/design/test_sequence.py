@@ -27,7 +27,7 @@ class Line(FormulaSimulator):
 
     limit: float = math.inf
 
-    def formula(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Tensor:
+    def formula(self, parameters, designs, times):
         g, mu = parameters[:, PARAMETERS.index(["G", "mu"])].mT
         at = (designs[:, 0] / CENTRE).log() / math.log(1000.0 / CENTRE)
         return (0.5 + g + mu * at)[:, None].expand_as(times)
@@ -94,6 +94,6 @@ def test_that_designs_are_judged_as_those_of_a_gel_that_was_not_known_before(tmp
         campaign, sets, grid=(21, 2), draws=3, scatter=(0.0, 0.0)
     )
     assert bound < 1e-3
-    assert float(ends) == pytest.approx(1.0, abs=0.01)
-    assert float(middle) < 0.1
-    assert float(lopsided) == pytest.approx(0.75**0.5, abs=0.01)  # shares of 1/4 and 3/4
+    assert ends == pytest.approx(1.0, abs=0.01)
+    assert middle < 0.1
+    assert lopsided == pytest.approx(0.75**0.5, abs=0.01)  # shares of 1/4 and 3/4

@@ -61,13 +61,11 @@ def single(matched, tmp_path_factory):
     return path
 
 
-def test_that_single_curves_are_judged_by_the_noise_of_their_frames(single, tmp_path, capsys):
+def test_that_single_curves_are_judged_by_the_noise_of_their_frames(single, tmp_path, said_by):
     target = tmp_path / "result.json"
-    assert (
-        main(["diagnose", str(single), *FAST, *f"--rest-radius 0.185:0.02 --json {target}".split()])
-        == 0
+    said = said_by(
+        ["diagnose", str(single), *FAST, *f"--rest-radius 0.185:0.02 --json {target}".split()]
     )
-    said = capsys.readouterr().out
     result = json.loads(target.read_text())
     assert "negative or smaller than a camera sees" in said
     assert "Frames far off their neighbours were left out: 15 of shot 0 (0 is" in said
@@ -127,13 +125,14 @@ def test_that_matched_data_give_silence_in_words_json_and_html(matched, tmp_path
 
 @pytest.mark.parametrize(("options", "words"), [((), False), (("--noise", "estimated"), True)])
 def test_that_a_set_has_the_published_noise_however_few_its_repeats(
-    options, words, matched, tmp_path, capsys
+    options, words, matched, tmp_path, said_by
 ):
     with np.load(matched) as document:
         arrays = dict(document)
     np.savez(tmp_path / "one.npz", **arrays | {"radius_m": arrays["radius_m"][:, :1]})
-    assert main(["diagnose", str(tmp_path / "one.npz"), *FAST, *options]) == 0
-    assert ("x the published law" in capsys.readouterr().out) is words
+    assert (
+        "x the published law" in said_by(["diagnose", str(tmp_path / "one.npz"), *FAST, *options])
+    ) is words
 
 
 @pytest.mark.parametrize(
@@ -155,11 +154,10 @@ def test_that_a_set_has_the_published_noise_however_few_its_repeats(
     ],
 )
 def test_that_bad_input_ends_with_a_message_before_any_work(
-    arguments, message, matched, single, capsys
+    arguments, message, matched, single, said_by
 ):
     files = {"good": matched, "csv": single}
-    assert main(["diagnose", *(a.format(**files) for a in arguments)]) == 2
-    captured = capsys.readouterr().err
+    captured = said_by(["diagnose", *(a.format(**files) for a in arguments)], 2)
     assert re.search(message, captured), captured
     assert captured.startswith("imr-torch: ")
     assert "assimilation" not in captured

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from imr_torch.errors import ImrError, InputDataError
+from imr_torch.errors import ImrError
 from imr_torch.float64 import tensor
 from imr_torch.material import (
     LIBRARY,
@@ -19,6 +19,7 @@ from imr_torch.material import effect as registry
 from imr_torch.material.parameters import ParameterVector
 from imr_torch.observe import predict
 from tests.gap.synthetic import GEL, SIMULATOR, shoot
+from tests.refusals import refused
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +39,7 @@ def test_that_at_its_neutral_value_it_is_the_base_exactly_and_at_a_start_it_is_n
     for start in effect.starts:
         values = dict(zip(effect.names, start, strict=True))
         assert torch.equal(seen(batch, values | {effect.names[0]: 0.0}), base)
-        assert float((seen(batch, values) - base).abs().amax()) > 1e-5
+        assert (seen(batch, values) - base).abs().amax() > 1e-5
 
 
 @pytest.mark.parametrize("name", LIBRARY)
@@ -51,7 +52,7 @@ def test_that_it_says_where_it_acts_in_which_units_and_how_large_it_may_be(name)
         assert PARAMETERS[parameter].unit
         for start in effect.starts:
             control = prior.to_control(tensor(start[i]))
-            assert bool(control.abs() < 3.0)
+            assert control.abs() < 3.0
     mates = [other for other in LIBRARY.values() if other.family == effect.family]
     assert len(mates) == 1 or effect.group
 
@@ -66,9 +67,7 @@ def test_that_effects_are_offered_by_name_and_to_bases_that_they_can_act_on():
     assert not {"strain_stiffening", "damage", "permanent_set"} & {
         e.name for e in library(base="newtonian")
     }
-    with pytest.raises(
-        InputDataError, match=r"Unknown effect 'wal'; known are strain_stiffening, "
-    ):
+    with refused(r"Unknown effect 'wal'; known are strain_stiffening, "):
         library(["wal"])
 
 
@@ -104,18 +103,16 @@ def test_that_a_users_effect_is_one_class_and_is_checked(monkeypatch):
     mine = Effect("slow_wall", "a wall far away", "geometry", {"wall": prior}, ((0.05,), (-0.05,)))
     register_effect(mine)
     assert library(["slow_wall"]) == (mine,)
-    with pytest.raises(InputDataError, match="'slow_wall' is registered already"):
+    with refused("'slow_wall' is registered already"):
         register_effect(mine)
-    with pytest.raises(InputDataError, match="needs starts of 1 values each"):
+    with refused("needs starts of 1 values each"):
         Effect("x", "no start of that many values", "geometry", {"wall": prior}, ((0.05, 1.0),))
-    with pytest.raises(InputDataError, match=r"needs starts of 3 values each, got \(\)"):
+    with refused(r"needs starts of 3 values each, got \(\)"):
         Effect("x", "no start of several parameters", "driving", LIBRARY["pulse"].priors)
-    with pytest.raises(InputDataError, match=r"needs starts of 1 values each, got \(\)"):
+    with refused(r"needs starts of 1 values each, got \(\)"):
         Effect("x", "no start for such a prior", "geometry", {"wall": LogNormal(1.0, 2.0)})
     for law in ("setting", "gas_loss", "vapour", "far_field"):
-        with pytest.raises(
-            InputDataError, match=rf"its law {law} takes [13] arguments and then wall"
-        ):
+        with refused(rf"its law {law} takes [13] arguments and then wall"):
             Effect(
                 "x",
                 "a law of too many arguments",
@@ -123,9 +120,9 @@ def test_that_a_users_effect_is_one_class_and_is_checked(monkeypatch):
                 {"wall": prior},
                 **{law: lambda a, b, c, d, e: a},
             )
-    with pytest.raises(ImrError, match="stiffness"):
+    with refused("stiffness", ImrError):
         Effect("x", "needs what there is not", "geometry", {"wall": prior}, needs="stiffness")
-    with pytest.raises(ImrError, match="wal"):
+    with refused("wal", ImrError):
         Effect("x", "no such parameter", "geometry", {"wal": prior}, ((0.05,),))
 
 
@@ -135,5 +132,5 @@ def test_that_an_amplitude_that_is_not_neutral_at_zero_is_named(monkeypatch):
         Parameter("slow", "a factor, which does nothing at one", "1", "none", 0.0, 2.0, 1.0)
     )
     monkeypatch.setattr(registry, "PARAMETERS", own)
-    with pytest.raises(InputDataError, match="its amplitude 'slow' must be neutral at zero"):
+    with refused("its amplitude 'slow' must be neutral at zero"):
         Effect("x", "a factor", "geometry", {"slow": TruncatedNormal(0.0, 0.1)})

@@ -49,12 +49,12 @@ def test_that_a_linear_refit_to_all_frames_stays_and_to_some_frames_is_the_nonli
     size = len(best.mean)
     sd = to_shift.norm(dim=1)
     assert (
-        float((shift / sd).abs().max()) < 0.2
-    )  # the noise law's own slope is all that differs from least squares
+        shift / sd
+    ).abs().max() < 0.2  # the noise law's own slope is all that differs from least squares
     assert torch.allclose(sd[:size], torch.linalg.norm(best.chol, dim=1), rtol=0.05)
     early = type(batch)(tuple(e.until(1.5) for e in batch.experiments))
     part = restrict(line, batch.times <= 1.5 + 1e-9)
     to_shift = part.to_shift
     shift = to_shift @ part.residual
     nonlinear = fit(early).mean - best.mean
-    assert float(((shift[:size] - nonlinear) / to_shift[:size].norm(dim=1)).abs().max()) < 0.2
+    assert ((shift[:size] - nonlinear) / to_shift[:size].norm(dim=1)).abs().max() < 0.2

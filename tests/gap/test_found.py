@@ -63,7 +63,7 @@ def test_that_an_effect_is_found_where_it_is(effect):
     place = found.prior.names.index(effect.names[0])
     name = effect.names[0]
     truth = effect.priors[name].to_control(tensor(values[name]))
-    assert abs(float(found.mean[place] - truth)) < 4.0 * float(found.chol[place].norm())
+    assert abs(found.mean[place] - truth) < 4.0 * found.chol[place].norm()
     assert (gain > CLAIMED) == (effect.name not in FAINT)
 
 

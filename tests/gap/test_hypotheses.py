@@ -41,13 +41,10 @@ def test_that_coarse_bubbles_lead_to_the_minimum_that_others_find(monkeypatch):
     assert one.certificate.converged
     assert abs(one.cost - other.cost) < 0.1
     assert (
-        float(
-            torch.linalg.solve_triangular(
-                other.chol, (one.mean - other.mean)[:, None], upper=False
-            ).norm()
-        )
-        < 0.1
-    )
+        torch.linalg.solve_triangular(
+            other.chol, (one.mean - other.mean)[:, None], upper=False
+        ).norm()
+    ) < 0.1
 
 
 def test_that_what_coarse_bubbles_leave_behind_has_the_cost_of_the_simulator_and_no_certificate():
@@ -58,10 +55,7 @@ def test_that_what_coarse_bubbles_leave_behind_has_the_cost_of_the_simulator_and
         "surface_tension"
     ]
     assert not behind.certificate.converged
-    assert (
-        abs(behind.cost + float(Posterior(behind.prior, batch, FULL).log_joint(behind.point)))
-        < 1e-6
-    )
+    assert abs(behind.cost + Posterior(behind.prior, batch, FULL).log_joint(behind.point)) < 1e-6
 
 
 def test_that_a_collapse_on_the_wrong_side_of_a_frame_ends_no_search():

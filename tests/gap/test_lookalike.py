@@ -15,6 +15,7 @@ from imr_torch.gap.verdict import check_evidence
 from imr_torch.goodness.linear import Linearisation
 from imr_torch.material import LIBRARY, library
 from imr_torch.observe import Experiment, ExperimentBatch
+from imr_torch.random import generator
 from tests.gap.synthetic import BASE, SIMULATOR, fit, shoot
 
 SIZE = 40
@@ -81,12 +82,12 @@ def test_that_members_of_a_family_do_not_mask_each_other():
 
 def test_that_the_bayes_factor_averages_to_one_under_a_known_effect():
     """A likelihood ratio has mean one under its denominator, the uniform p-value of the right effect."""
-    source = torch.Generator().manual_seed(0)
+    source = generator(0)
     log_p = randn(50, 40, generator=source).square().neg() * 3.0
     found = Likeness(9.0, log_p, full((50,), 0.02))
     log = linspace(-40.0, 0.0, 4001)
     density = tensor([found.bayes_factor(math.exp(x)) for x in log.tolist()]) * log.exp()
-    assert float(torch.trapezoid(density, log)) == pytest.approx(1.0, abs=0.02)
+    assert torch.trapezoid(density, log) == pytest.approx(1.0, abs=0.02)
 
 
 @pytest.fixture(scope="module")

@@ -56,7 +56,7 @@ def test_that_intervals_with_model_error_hold_those_of_the_right_model(matched):
     right = matched.null.posterior.quantile(levels)
     for i, (name, (low, middle, high)) in enumerate(found.intervals.items()):
         assert low < middle < high
-        assert high - low >= 0.95 * float(right[1, i] - right[0, i])
+        assert high - low >= 0.95 * (right[1, i] - right[0, i])
         assert low < GEL[name] < high
 
 

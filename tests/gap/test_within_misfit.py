@@ -66,14 +66,14 @@ def test_that_a_strong_effect_is_named_and_found_as_large_as_it_is(strong):
     low, _, high = strong.selected_fit.posterior.quantile(tensor([0.01, 0.5, 0.99]))
     places = [strong.selected_fit.prior.names.index(name) for name in ("G", "mu", "tau")]
     truth = tensor([8e3, 0.08, 8e-6])
-    assert bool(((low[places] < truth) & (truth < high[places])).all())
+    assert ((low[places] < truth) & (truth < high[places])).all()
 
 
 def test_that_the_noise_is_that_of_the_frames_though_the_base_model_is_far_off(strong):
     curves = torch.cat([e.radius[0] for e in strong.batch.curves])
     times = torch.cat([e.times for e in strong.batch.curves])
     ratio = strong.batch.noise.sd(curves, times) / LAW.sd(curves, times)
-    assert 0.75 < float(ratio.log().mean().exp()) < 1.35
+    assert 0.75 < ratio.log().mean().exp() < 1.35
 
 
 @pytest.fixture(scope="module")

@@ -40,7 +40,7 @@ def test_that_phase_numbers_are_those_of_the_names():
     mask = torch.ones_like(times, dtype=torch.bool)
     numbers = phase_numbers(times, curve, mask)[0]
     assert sorted(set(numbers.tolist())) == list(range(len(PHASES)))
-    assert bool((numbers.diff() >= 0).all())
+    assert (numbers.diff() >= 0).all()
     assert phase_name(0.0) == PHASES[int(numbers[0])]
 
 

@@ -77,7 +77,7 @@ def test_that_what_the_fit_explains_is_no_direction_and_rank_is_counted_once(mat
     found = make_block("twice", twice, line)
     assert found.directions.shape[1] == 1
     torch.testing.assert_close(found.directions.mT @ found.directions, eye(1))
-    assert float((line.basis.mT @ found.directions).abs().max()) < 1e-9
+    assert (line.basis.mT @ found.directions).abs().max() < 1e-9
 
 
 def test_that_a_chi_square_alone_is_the_smallest_test(matched):
@@ -115,8 +115,8 @@ def test_where_fits_of_an_effect_start(matched):
     gone = [i for i, start in enumerate(waves) if start not in shaped]
     kept = [i for i, start in enumerate(waves) if start in shaped]
     assert gone
-    assert bool((left[gone] @ leaning.residual < 0.0).all())
-    assert bool(((left[gone] @ left[kept].mT).amin(1) < -0.95).all())
+    assert (left[gone] @ leaning.residual < 0.0).all()
+    assert ((left[gone] @ left[kept].mT).amin(1) < -0.95).all()
 
 
 def test_that_bias_is_what_is_left_beyond_noise():

@@ -7,7 +7,6 @@ import torch
 from scipy import stats
 from torch.testing import assert_close
 
-from imr_torch.errors import InputDataError
 from imr_torch.float64 import eye, rand, randn, zeros
 from imr_torch.material import (
     CASES,
@@ -23,9 +22,11 @@ from imr_torch.material import (
     reference_case,
     wide_prior,
 )
+from imr_torch.random import generator
 from tests.clouds import cloud
 from tests.linear import tensor
-from tests.refusals import refusals
+from tests.refusals import refusals, refused
+from tests.tables import for_each
 
 
 def positive(mean: float, sd: float) -> TruncatedNormal:
@@ -55,7 +56,7 @@ def updated() -> Belief:
     parts = []
     for i, part in enumerate(prior().models):
         d = len(part.names)
-        source = torch.Generator().manual_seed(i)
+        source = generator(i)
         chol = torch.tril(0.3 * randn(d, d, generator=source), -1)
         chol = chol + torch.diag(0.2 + 0.5 * rand(d, generator=source))
         parts.append(part.with_gaussian(0.5 * randn(d, generator=source), chol))
@@ -93,7 +94,7 @@ def test_that_nothing_is_believed_outside_the_bounds(name, outside):
     part = prior()["gen_qkv"]
     values = part.physical(zeros(3))
     values[part.names.index(name)] = outside
-    assert float(part.log_prob(values)) == -math.inf
+    assert part.log_prob(values) == -math.inf
 
 
 def test_that_the_density_at_a_bound_is_the_limit_from_inside():
@@ -105,7 +106,7 @@ def test_that_the_density_at_a_bound_is_the_limit_from_inside():
     inside = values.clone()
     at = values.clone()
     inside[2], at[2] = 1e-12, 0.0
-    assert float(part.log_prob(at)) == pytest.approx(float(part.log_prob(inside)), abs=1e-6)
+    assert part.log_prob(at) == pytest.approx(float(part.log_prob(inside)), abs=1e-6)
 
 
 @pytest.mark.parametrize("belief", [prior(), updated()], ids=["prior", "updated"])
@@ -119,17 +120,15 @@ def test_that_samples_have_the_stated_moments_and_frequencies(belief):
         assert share == pytest.approx(p, abs=4.5 * (p * (1 - p) / n) ** 0.5)
         free = values[:, PARAMETERS.index(part.names)]
         error = part.sds / len(values) ** 0.5
-        assert bool(((free.mean(0) - part.means).abs() < 4.5 * error).all())
+        assert ((free.mean(0) - part.means).abs() < 4.5 * error).all()
         kurtosis = (((free - part.means) / part.sds) ** 4).mean(0)
-        assert bool(
-            (
-                (free.std(0) / part.sds - 1.0).abs()
-                < 4.5 * ((kurtosis - 1.0) / 4.0 / len(values)).sqrt()
-            ).all()
-        )
+        assert (
+            (free.std(0) / part.sds - 1.0).abs()
+            < 4.5 * ((kurtosis - 1.0) / 4.0 / len(values)).sqrt()
+        ).all()
         for name in set(PARAMETERS.names) - set(part.names):
             expected = part.known.get(name, PARAMETERS[name].neutral)
-            assert bool((values[:, PARAMETERS.index([name])[0]] == expected).all())
+            assert (values[:, PARAMETERS.index([name])[0]] == expected).all()
 
 
 @KEYS
@@ -175,7 +174,7 @@ def test_that_probabilities_are_normalised_and_the_best_model_is_the_most_probab
     assert belief.probabilities["nhkv"] / belief.probabilities["newtonian"] == pytest.approx(math.e)
 
 
-@pytest.mark.parametrize("case", CASES.values(), ids=CASES.keys())
+@for_each("case", CASES)
 def test_that_a_reference_case_names_its_truth_and_believes_it_possible(case):
     assert reference_case(case.key) is case
     assert set(case.truth) == set(material(case.truth_model).names)
@@ -204,14 +203,13 @@ def test_that_there_is_a_wide_prior_for_every_model_whose_draws_are_possible():
         drawn = part.parameters(part.controls(200, seed=1))
         for name, values in zip(part.names, drawn[:, PARAMETERS.index(part.names)].mT, strict=True):
             PARAMETERS.check(name, values)
-            assert float(values.std()) > 0.0
+            assert values.std() > 0.0
 
 
 def test_that_a_parameter_without_a_prior_is_named():
     assert PARAMETERS["medium_tension"].prior is None
-    with pytest.raises(
-        InputDataError,
-        match=r"Parameter 'medium_tension' of model 'nhkv\+medium_tension' has no default prior; re",
+    with refused(
+        r"Parameter 'medium_tension' of model 'nhkv\+medium_tension' has no default prior; re"
     ):
         wide_prior(["nhkv", "nhkv+medium_tension"])
 

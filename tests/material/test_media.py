@@ -4,8 +4,8 @@ water is.
 
 import pytest
 
-from imr_torch.errors import InputDataError
 from imr_torch.material.media import NAMED, OF_WATER, ROOM, named_medium
+from tests.refusals import refused
 
 
 @pytest.mark.parametrize(
@@ -36,5 +36,5 @@ def test_that_a_named_medium_is_its_source_at_its_temperature_and_follows_water_
 
 
 def test_that_a_name_which_is_not_known_is_refused_with_those_that_are():
-    with pytest.raises(InputDataError, match="Unknown medium 'gelatine'; known are water, pbs"):
+    with refused("Unknown medium 'gelatine'; known are water, pbs"):
         named_medium("gelatine")

@@ -196,7 +196,7 @@ def test_that_a_standard_solid_obeys_its_published_equation(key, law):
         strain = velocity / radius
         left = relaxation * (float(stress.rate) + stiffness * strain) + float(stress.value)
         assert left == pytest.approx(elastic - 4.0 * values["mu"] * strain, rel=1e-12, abs=1e-13)
-        assert abs(float(stress.acceleration)) < 1e-15
+        assert abs(stress.acceleration) < 1e-15
 
 
 @pytest.mark.parametrize("key", WITH_MEMORY)
@@ -213,4 +213,4 @@ def test_that_memory_forgets_a_step_at_its_relaxation_time(key):
     torch.testing.assert_close(
         rates, torch.full_like(rates, -0.1 / values[name]), rtol=1e-12, atol=1e-14
     )
-    assert float(model.terms[-1].relaxation_rate(theta)) == pytest.approx(1.0 / values[name])  # type: ignore[arg-type]
+    assert model.terms[-1].relaxation_rate(theta) == pytest.approx(1.0 / values[name])  # type: ignore[arg-type]

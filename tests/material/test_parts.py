@@ -32,6 +32,7 @@ from tests.material.gels import (
     values_of,
 )
 from tests.material.test_strain_energy import quadrature
+from tests.refusals import refused
 from tests.simulate.bubble import tensor
 
 ELASTIC, VISCOUS, MEMORY = (
@@ -168,7 +169,7 @@ def test_that_a_part_at_its_neutral_parameter_does_nothing_exactly(
     one = evaluate(model, radius, velocity, values, memory)
     other = evaluate(limit, radius, velocity, values, of_limit)
     for name in ("value", "rate", "acceleration"):
-        assert float(getattr(one, name)) == float(getattr(other, name))
+        assert getattr(one, name) == getattr(other, name)
 
 
 def test_that_an_arm_beside_a_dashpot_is_the_jeffreys_branch():
@@ -181,7 +182,7 @@ def test_that_an_arm_beside_a_dashpot_is_the_jeffreys_branch():
         one = evaluate(material("nhkv+maxwell"), radius, velocity, arm, memory)
         other = evaluate(material("zener"), radius, velocity, zener, memory)
         for name in ("value", "rate"):
-            assert float(getattr(one, name)) == pytest.approx(
+            assert getattr(one, name) == pytest.approx(
                 float(getattr(other, name)), rel=1e-13, abs=1e-14
             )
 
@@ -236,9 +237,9 @@ def test_that_every_combination_is_built_or_refused_with_a_reason():
         theta = tensors(values_of(model) | {"reference_rate": 2.0})
         stress, rates = gel_response(model.terms, *point, theta, memory_of(model.terms))
         assert math.isfinite(float(stress.value))
-        assert bool(torch.isfinite(rates).all())
+        assert torch.isfinite(rates).all()
         still = 0.0 * memory_of(model.terms)
-        assert float(gel_response(model.terms, *point, tensors({}), still)[0].value) == 0.0
+        assert gel_response(model.terms, *point, tensors({}), still)[0].value == 0.0
     assert len(built) > 300
     assert all(
         key.split("+")[-1] in ("sls", "sns", "ucm", "jeffreys", "giesekus", "ptt")
@@ -382,7 +383,7 @@ def of_all_gels(kind) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     ours, reference = (
         kind(engine=engine, **coarse)(gels, design, times) for engine in ("compiled", "torchdiffeq")
     )
-    assert bool(ours.ok.all())
+    assert ours.ok.all()
     return ours.radius, reference.radius, kind(**coarse)(plain, design, times).radius
 
 
@@ -391,8 +392,8 @@ def of_all_gels(kind) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
 def test_that_both_engines_integrate_a_composed_law_alike(key, kind):
     assert set(GELS[key]) == set(material(key).names)
     ours, reference, plain = (radius[list(GELS).index(key)] for radius in of_all_gels(kind))
-    assert float((ours - reference).abs().max()) < 1e-9
-    assert float((ours - plain).abs().max()) > 1e-4
+    assert (ours - reference).abs().max() < 1e-9
+    assert (ours - plain).abs().max() > 1e-4
 
 
 @pytest.mark.parametrize("kind", [TransportSimulator, PolytropicSimulator])
@@ -423,7 +424,7 @@ def test_that_a_gel_that_locks_gives_a_status_soon(kind, key, name, values):
     ],
 )
 def test_that_parts_that_do_not_go_together_are_named(key, message):
-    with pytest.raises(InputDataError, match=message):
+    with refused(message):
         material(key)
 
 

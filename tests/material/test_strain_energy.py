@@ -14,6 +14,7 @@ from scipy.integrate import quad
 
 from imr_torch.material import MATERIALS, material
 from tests.material.gels import REST, STATES, evaluate, has_memory, values_of
+from tests.tables import for_each
 
 Values = dict[str, float]
 Law = Callable[[float, Values], float]
@@ -61,12 +62,12 @@ def quadrature(
     return quad(integrand, 0.0, 1.0, epsabs=1e-13, epsrel=1e-12, limit=400)[0]
 
 
-@pytest.mark.parametrize("model", WITHOUT_MEMORY.values(), ids=WITHOUT_MEMORY.keys())
+@for_each("model", WITHOUT_MEMORY)
 @pytest.mark.parametrize(("radius", "velocity"), STATES)
 def test_that_the_stress_integral_is_the_quadrature_over_the_gel(model, radius, velocity):
     values = values_of(model)
     expected = quadrature(radius, velocity, values)
-    assert float(evaluate(model, radius, velocity, values).value) == pytest.approx(
+    assert evaluate(model, radius, velocity, values).value == pytest.approx(
         expected, rel=1e-9, abs=1e-10
     )
 
@@ -91,7 +92,7 @@ def test_that_exponential_stiffening_is_integrated_where_it_is_extreme(stretch, 
     """Exponents up to 20 and 40: what lies near the wall decides."""
     values = {"G": 1.0, "alpha_fung": alpha}
     expected = quadrature(stretch * REST, 0.0, values)
-    assert float(evaluate(material("fungexp"), stretch * REST, 0.0, values).value) == pytest.approx(
+    assert evaluate(material("fungexp"), stretch * REST, 0.0, values).value == pytest.approx(
         expected, rel=tolerance
     )
 
@@ -101,6 +102,6 @@ def test_that_exponential_stiffening_is_integrated_where_it_is_extreme(stretch, 
 def test_that_thinning_is_integrated_over_five_decades_of_shear_rate(thinning, reduced):
     values = {"mu": 1.0, "thinning": thinning, "shear_time": reduced / (2.0 * math.sqrt(3.0))}
     expected = quadrature(1.0, 1.0, values)
-    assert float(evaluate(material("carreau"), 1.0, 1.0, values).value) == pytest.approx(
+    assert evaluate(material("carreau"), 1.0, 1.0, values).value == pytest.approx(
         expected, abs=1e-11
     )

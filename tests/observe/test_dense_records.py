@@ -59,6 +59,6 @@ def test_that_only_dense_records_are_thinned_and_no_gap_is_wider_than_allowed(fr
     (trace,) = prepared.traces
     assert len(trace) == kept
     scale = float(Surroundings().time_scale(SIZE))
-    assert kept == frames or float(trace.time_s.diff().max()) / scale < 0.0201
+    assert kept == frames or trace.time_s.diff().max() / scale < 0.0201
     assert prepared.landmarks["a"] == find_landmarks(whole["a"])  # of all frames
     assert bool(prepared.cautions) is (kept < frames)

@@ -59,8 +59,4 @@ def test_that_collapses_of_a_simulated_bubble_are_where_its_wall_turns():
     turns = torch.nonzero((solution.velocity[:-1] < 0.0) & (solution.velocity[1:] >= 0.0))[:, 0]
     for number in (1, 2):
         found = collapse_time(TIMES, solution.radius, number)
-        assert (
-            float(TIMES[turns[number - 1]]) - 1e-9
-            <= found
-            <= float(TIMES[turns[number - 1] + 1]) + 1e-9
-        )
+        assert TIMES[turns[number - 1]] - 1e-9 <= found <= TIMES[turns[number - 1] + 1] + 1e-9

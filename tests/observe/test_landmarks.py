@@ -11,6 +11,7 @@ from imr_torch.files import read_json
 from imr_torch.float64 import arange, linspace, tensor
 from imr_torch.material import PARAMETERS
 from imr_torch.observe.landmarks import Landmarks, find_landmarks
+from imr_torch.random import generator
 from imr_torch.reading.load import load_traces
 from imr_torch.reading.traces import Given, RadiusTrace
 from imr_torch.simulate import Status, TransportSimulator
@@ -188,7 +189,7 @@ def test_that_a_record_that_begins_at_its_maximum_gives_it_by_the_frames_after_i
     late = []
     times = []
     values = []
-    source = torch.Generator().manual_seed(0)
+    source = generator(0)
     scale = Surroundings().time_scale(3e-4)
     for number in range(100):
         first = 0.3 * (number % 10) / 10.0 * 1e-6
@@ -203,10 +204,10 @@ def test_that_a_record_that_begins_at_its_maximum_gives_it_by_the_frames_after_i
         values.append((found.max_radius_m - 3e-4, found.max_radius_sd_m))
     for rows in (times, values):
         error, sd = tensor(rows).unbind(1)
-        assert abs(float((error / sd).mean())) < 0.6
-        assert 0.5 < float((error / sd).square().mean().sqrt()) < 1.3
+        assert abs((error / sd).mean()) < 0.6
+        assert 0.5 < (error / sd).square().mean().sqrt() < 1.3
     at = tensor(times)[:, 0]
-    assert abs(float(at.mean())) < 0.4 * float(torch.tensor(late).mean())
+    assert abs(at.mean()) < 0.4 * torch.tensor(late).mean()
 
 
 def test_that_the_given_maximum_is_not_used_where_frames_bracket_the_peak():

@@ -18,7 +18,7 @@ from imr_torch.float64 import tensor, zeros
 from imr_torch.material import PARAMETERS, Belief
 from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
 from imr_torch.population import fit_shots
-from tests.drifting import PART, Slow, assert_that_only_widened_hold, drifting, hold
+from tests.drifting import PART, SLOW, assert_that_only_widened_hold, drifting, hold
 from tests.linear import NOISE
 
 OPTIONS = SearchOptions(raw_samples=8, starts=2)
@@ -31,9 +31,9 @@ def test_that_one_law_of_a_misfit_for_shots_of_different_gels_states_intervals_t
     for seed in range(20):
         batch, gels = drifting(seed, alone=True)
         shots = [ExperimentBatch((shot,), NOISE) for shot in batch.experiments]
-        fits = [assimilate(BELIEF, shot, Slow(), seed=0, options=OPTIONS).fits[0] for shot in shots]
+        fits = [assimilate(BELIEF, shot, SLOW, seed=0, options=OPTIONS).fits[0] for shot in shots]
         near = [
-            Posterior(PART, shot, Slow()).neighbourhood(fit.point)
+            Posterior(PART, shot, SLOW).neighbourhood(fit.point)
             for shot, fit in zip(shots, fits, strict=True)
         ]
         law = infer_frame_noise(near, few).for_fits(widen=True).law

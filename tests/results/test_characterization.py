@@ -289,10 +289,10 @@ def test_that_the_command_line_writes_json_before_figures_and_the_page(
     assert "SHA-256" in page
 
 
-def test_that_plot_refuses_what_it_cannot_draw(tmp_path, capsys):
+def test_that_plot_refuses_what_it_cannot_draw(tmp_path, said_by):
     write_json(tmp_path / "r.json", header("diagnose"))
-    assert main(["plot", str(tmp_path / "r.json")]) == 2
-    assert "the result is not whole (KeyError: 'selected')" in capsys.readouterr().err
+    assert "the result is not whole (KeyError: 'selected')" in said_by(
+        ["plot", str(tmp_path / "r.json")], 2
+    )
     write_json(tmp_path / "r.json", header("demo"))
-    assert main(["plot", str(tmp_path / "r.json")]) == 2
-    assert "holds no curves or map to draw" in capsys.readouterr().err
+    assert "holds no curves or map to draw" in said_by(["plot", str(tmp_path / "r.json")], 2)

@@ -14,7 +14,6 @@ from imr_torch.characterization.batch import BatchSummary
 from imr_torch.characterization.compare import compare
 from imr_torch.characterization.saved import SavedCharacterization
 from imr_torch.cli.common import belief_cautions
-from imr_torch.errors import InputDataError
 from imr_torch.export import write_mat
 from imr_torch.results import (
     campaign_document,
@@ -24,6 +23,7 @@ from imr_torch.results import (
     header,
 )
 from imr_torch.results.page import TITLES
+from tests.refusals import refused
 from tests.results.documents import documented, traces
 
 MISSED = {"explained": False, "sentence": "Misfit: the model does not explain the curves."}
@@ -133,5 +133,5 @@ def test_that_the_largest_residual_of_the_sentence_is_that_of_the_figures():
 
 def test_that_a_result_that_says_something_else_of_its_fit_is_refused(missed):
     for said in (5, "no", [1], True, {"explained": "no"}):
-        with pytest.raises(InputDataError, match="fit_test"):
+        with refused("fit_test"):
             SavedCharacterization.from_dict(missed | {"fit_test": said})

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from imr_torch.float64 import linspace, rand
 from imr_torch.material import MATERIALS, PARAMETERS, reference_case
+from imr_torch.random import generator
 from imr_torch.simulate import (
     LIQUIDS,
     PRESETS,
@@ -79,9 +80,18 @@ def gel_of(model: str) -> Tensor:
 def draw_bubbles(count: int, seed: int) -> tuple[Tensor, Tensor]:
     """Gels of the paper's prior, ``count x p``, and designs all over its box, ``count x 2``."""
     low, high = tensor([100.0, 0.14], [1000.0, 0.30])
-    unit = rand(count, 2, generator=torch.Generator().manual_seed(seed))
+    unit = rand(count, 2, generator=generator(seed))
     gels = reference_case("stiff-pa").prior.sample(count, seed=seed).parameters
     return gels, low + (high - low) * unit
+
+
+def assert_that_rates_are_derivatives(
+    pressure: tuple[Tensor, Tensor, Tensor], time: Tensor, errors: tuple[float, float]
+) -> None:
+    """Of a pressure and its two rates, each rate is what autograd finds of the one before it."""
+    for value, rate, error in zip(pressure, pressure[1:], errors, strict=False):
+        (derivative,) = torch.autograd.grad(value.sum(), time, retain_graph=True)
+        torch.testing.assert_close(rate.detach(), derivative, rtol=1e-12, atol=error)
 
 
 def sampled(pressure: Callable[[np.ndarray], np.ndarray], last: float = 5e-4) -> TabulatedDriving:

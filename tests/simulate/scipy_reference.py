@@ -94,7 +94,7 @@ class _Transport:
             balance, moved = self._at(time, both)[_WALL].split(count)
             change = _INCREMENT * balance / (moved - balance)
             wall = wall - change
-            if bool((change.abs() < _SETTLED * (1.0 + wall.abs())).all()):
+            if (change.abs() < _SETTLED * (1.0 + wall.abs())).all():
                 return wall
         return torch.full_like(wall, torch.nan)
 

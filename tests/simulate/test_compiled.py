@@ -15,7 +15,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from imr_torch.errors import EngineWarning, InputDataError, PrecisionWarning
+from imr_torch.errors import EngineWarning, PrecisionWarning
 from imr_torch.float64 import arange
 from imr_torch.material import LIBRARY, MATERIALS, PARAMETERS, PARTS, TERMS, StressTerm
 from imr_torch.material.viscous import newtonian
@@ -37,7 +37,9 @@ from imr_torch.simulate import (
 from imr_torch.simulate.compiled import build
 from imr_torch.simulate.compiled.run import registry_of
 from tests.processes import Processes
+from tests.refusals import refused
 from tests.simulate.bubble import CLOSURES, MOTIONS, gel, gel_of, grid, sine, tensor
+from tests.tables import for_each
 
 SAME = 1e-9  # in R*, where both take the same steps; rounding grows at each collapse
 TIMES = grid(1.5, 31)  # a collapse and what follows
@@ -90,14 +92,14 @@ def assert_same(kind, gels: Tensor, designs: Tensor = DESIGNS, **options) -> Non
 
 def assert_equal(kind, ours: Solution, reference: Solution) -> None:
     assert torch.equal(ours.status, reference.status)
-    assert bool(ours.ok.all())
+    assert ours.ok.all()
     if kind is TransportSimulator:
         assert torch.equal(ours.steps, reference.steps)
-    assert float((ours.radius - reference.radius).abs().max()) < SAME
+    assert (ours.radius - reference.radius).abs().max() < SAME
     scale = 1.0 + reference.velocity.abs()
-    assert float(((ours.velocity - reference.velocity).abs() / scale).max()) < 1e2 * SAME
-    assert float((ours.bubble_pressure / reference.bubble_pressure - 1.0).abs().max()) < 1e3 * SAME
-    assert float(ours.radius.min()) < 0.5
+    assert ((ours.velocity - reference.velocity).abs() / scale).max() < 1e2 * SAME
+    assert (ours.bubble_pressure / reference.bubble_pressure - 1.0).abs().max() < 1e3 * SAME
+    assert ours.radius.min() < 0.5
 
 
 def gels_of_the_registries() -> dict[str, Tensor]:
@@ -159,7 +161,7 @@ def test_that_every_radial_equation_is_the_same(kind, motion):
 
 
 @SIMULATORS
-@pytest.mark.parametrize("conditions", EVERY_CLOSURE.values(), ids=EVERY_CLOSURE)
+@for_each("conditions", EVERY_CLOSURE)
 def test_that_all_conditions_are_the_same(kind, conditions):
     assert_same(kind, gel(G=4e3, mu=0.08), conditions=conditions)
 
@@ -198,17 +200,17 @@ def test_that_bundles_are_the_same_and_leaders_as_without_followers(kind, model)
     designs = DESIGNS[:, None]
     engines = [kind(engine=engine, **coarse(kind)) for engine in ("compiled", "torchdiffeq")]
     ours, reference = (simulator.bundle(bundle, designs, TIMES) for simulator in engines)
-    assert bool(ours.ok.all())
-    assert float((ours.radius - reference.radius).abs().max()) < SAME
+    assert ours.ok.all()
+    assert (ours.radius - reference.radius).abs().max() < SAME
     assert torch.equal(ours.radius[:, 0], engines[0](bundle[:, 0], DESIGNS, TIMES).radius)
-    assert float((ours.radius[:, 1:] - ours.radius[:, :1]).abs().amax()) > 1e-6
+    assert (ours.radius[:, 1:] - ours.radius[:, :1]).abs().amax() > 1e-6
     bundle[:, 2, PARAMETERS.index(["damage"])] = (
         1e-3  # a memory that the leader lacks changes the order of its sums
     )
     damaged, reference = (simulator.bundle(bundle, designs, TIMES) for simulator in engines)
-    assert float((damaged.radius - reference.radius).abs().max()) < SAME
-    assert float((damaged.radius[:, 0] - ours.radius[:, 0]).abs().max()) < SAME
-    assert float((damaged.radius[:, 2] - ours.radius[:, 2]).abs().max()) > 1e-6
+    assert (damaged.radius - reference.radius).abs().max() < SAME
+    assert (damaged.radius[:, 0] - ours.radius[:, 0]).abs().max() < SAME
+    assert (damaged.radius[:, 2] - ours.radius[:, 2]).abs().max() > 1e-6
 
 
 def followers(gels: Tensor, width: int) -> Tensor:
@@ -222,7 +224,7 @@ def test_that_a_follower_is_the_same_in_a_bundle_of_any_size_bit_for_bit(kind):
     bundles = followers(torch.stack(list(gels_of_the_registries().values())), 15)
     simulator = kind(**coarse(kind))
     whole = simulator.bundle(bundles, DESIGNS[0], TIMES)
-    assert bool(torch.isfinite(whole.radius).all())
+    assert torch.isfinite(whole.radius).all()
     for members in ([0, 3], [0, 14, 1, 2, 3, 4], [0, *range(9, 0, -1)]):
         part = simulator.bundle(bundles[:, members], DESIGNS[0], TIMES)
         for name in ("radius", "velocity", "bubble_pressure"):
@@ -286,7 +288,7 @@ def test_that_failures_have_the_same_status_and_the_same_good_beginning(
     before = (
         shared[:, :-1] & shared[:, 1:]
     )  # rounding grows without bound at a singularity, so its last frame is left out
-    assert float((ours.radius - reference.radius)[:, :-1][before].abs().max()) < SAME
+    assert (ours.radius - reference.radius)[:, :-1][before].abs().max() < SAME
     assert int(before.sum()) >= 2
     assert not torch.isfinite(ours.radius).all()
 
@@ -295,7 +297,7 @@ def test_that_failures_have_the_same_status_and_the_same_good_beginning(
 def test_that_early_times_and_a_single_time_are_the_same(kind):
     for times in (tensor(-0.3, -0.1, 0.0, 1e-4, 0.4), tensor(0.0), tensor(-0.2)):
         ours, reference = both(kind, gel(G=4e3, mu=0.08), times=times)
-        assert float((ours.radius - reference.radius).abs().max()) < SAME
+        assert (ours.radius - reference.radius).abs().max() < SAME
 
 
 def torch_only(
@@ -321,7 +323,7 @@ def test_that_a_law_without_a_compiled_form_runs_on_tensors_and_is_named_once(ki
         again = simulator(gel(mu=0.1), designs, times[:2])
     assert torch.equal(ours.radius[:, :2], again.radius)
     known = kind(**coarse(kind))(gel(mu=0.1), designs, times)
-    assert float((ours.radius - known.radius).abs().max()) < SAME
+    assert (ours.radius - known.radius).abs().max() < SAME
 
 
 def test_that_a_law_without_a_compiled_form_is_no_obstacle_where_it_does_not_act(monkeypatch):
@@ -330,7 +332,7 @@ def test_that_a_law_without_a_compiled_form_is_no_obstacle_where_it_does_not_act
     )
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert bool(PolytropicSimulator()(gel(mu=0.1), DESIGNS, TIMES).ok.all())
+        assert PolytropicSimulator()(gel(mu=0.1), DESIGNS, TIMES).ok.all()
 
 
 def test_that_float32_runs_on_tensors_and_says_why_and_that_it_is_short():
@@ -343,7 +345,7 @@ def test_that_float32_runs_on_tensors_and_says_why_and_that_it_is_short():
         short = PolytropicSimulator()(gel(mu=0.1).float(), DESIGNS.float(), times.float())
     known = PolytropicSimulator()(gel(mu=0.1), DESIGNS, times)
     assert short.radius.dtype == torch.float32
-    assert float((short.radius - known.radius).abs().max()) < 1e-4
+    assert (short.radius - known.radius).abs().max() < 1e-4
 
 
 @pytest.mark.parametrize(
@@ -355,7 +357,7 @@ def test_that_float32_runs_on_tensors_and_says_why_and_that_it_is_short():
 )
 @SIMULATORS
 def test_that_unknown_engines_and_no_threads_are_named(kind, options, message):
-    with pytest.raises(InputDataError, match=message):
+    with refused(message):
         kind(**options)
 
 

@@ -28,6 +28,7 @@ from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.contents import conductivity_of, temperature_of, warm_profile
 from imr_torch.units import Surroundings
 from tests.simulate.bubble import FINE, SI, gel, grid, sampled, sine, tensor
+from tests.tables import for_each
 
 BASE = {"G": 4e3, "mu": 0.08}
 DESIGN = tensor(300.0, 0.3)
@@ -166,7 +167,7 @@ def test_that_at_neutral_it_does_nothing_bit_for_bit_even_beside_bubbles_where_i
 def test_that_beyond_it_does_something_unless_it_is_the_cameras(solutions, kind, name):
     solution = solutions[kind][1]
     row = 2 * NAMES.index(name)
-    assert bool(solution.ok[row : row + 2].all())
+    assert solution.ok[row : row + 2].all()
     change = float((solution.radius[row] - solution.radius[row + 1]).abs().max())
     assert (change == 0.0) if name in CAMERA else (change > 1e-4)
 
@@ -206,10 +207,10 @@ AS_CONDITIONS = {
 
 
 @BOTH
-@pytest.mark.parametrize(("effect", "conditions"), AS_CONDITIONS.values(), ids=AS_CONDITIONS)
+@for_each(("effect", "conditions"), AS_CONDITIONS)
 def test_that_an_effect_is_that_of_the_conditions_that_it_stands_for(kind, effect, conditions):
     error = 1e-12 if conditions.initial_velocity else 1e-9
-    assert float((radii(kind, **effect) - radii(kind, conditions)).abs().max()) < error
+    assert (radii(kind, **effect) - radii(kind, conditions)).abs().max() < error
 
 
 def test_that_vapour_pressure_is_that_of_a_warmer_liquid():
@@ -217,9 +218,8 @@ def test_that_vapour_pressure_is_that_of_a_warmer_liquid():
     warm = Conditions(Surroundings(temperature=310.0))
     excess = warm.saturation - Conditions().saturation
     assert (
-        float((radii("polytropic", vapour_pressure=excess) - radii("polytropic", warm)).abs().max())
-        < 1e-12
-    )
+        radii("polytropic", vapour_pressure=excess) - radii("polytropic", warm)
+    ).abs().max() < 1e-12
 
 
 def test_that_surface_tension_acts_in_its_own_term_and_not_in_the_gas():
@@ -263,9 +263,9 @@ def test_that_heat_exchange_leads_from_adiabatic_to_isothermal(factor, exponent)
     assert errors[0] > 2.0 * errors[1] > 4.0 * errors[2]
     assert errors[2] < 5e-3
     exponents = Bubbles.of(steps, DESIGN.expand(3, 2), Conditions()).numbers.exponent
-    assert float(exponents[0]) == 1.3
-    assert float(exponents[2]) == pytest.approx(exponent, abs=4e-3)
-    assert bool((exponents.diff() * (exponent - 1.3) > 0.0).all())
+    assert exponents[0] == 1.3
+    assert exponents[2] == pytest.approx(exponent, abs=4e-3)
+    assert (exponents.diff() * (exponent - 1.3) > 0.0).all()
 
 
 def swing_about_rest(**effect: float) -> tuple[Tensor, float, Conditions]:
@@ -325,8 +325,8 @@ def test_that_gas_is_lost_along_the_path_below_rest():
     path = math.log(depth) - 2.0 * (1.0 - 1.0 / depth) + 0.5 * (1.0 - 1.0 / depth**2)
     expected = math.exp(-2.0 * eta * path)
     assert depth > 2.0
-    assert float(amount[-1] / amount[0]) == pytest.approx(expected, rel=2e-3)
-    assert bool((amount.diff() < 1e-9).all())
+    assert amount[-1] / amount[0] == pytest.approx(expected, rel=2e-3)
+    assert (amount.diff() < 1e-9).all()
 
 
 @pytest.mark.parametrize("excess", [-0.5, 0.4])
@@ -342,8 +342,8 @@ def test_that_excess_gas_comes_to_rest_where_its_pressure_balances(excess):
         gel(mu=0.1, excess_gas=excess), tensor(weber, rest), grid(40.0, 3)
     ).radius[-1]
     amount = (1.0 + 1.0 / (weber * rest)) * rest**3 * math.exp(excess)
-    assert float(amount / radius**3 - 1.0 - 1.0 / (weber * radius)) == pytest.approx(0.0, abs=1e-5)
-    assert abs(float(radius) - rest) > 0.05
+    assert amount / radius**3 - 1.0 - 1.0 / (weber * radius) == pytest.approx(0.0, abs=1e-5)
+    assert abs(radius - rest) > 0.05
 
 
 def test_that_hot_contents_press_by_their_mean_temperature_and_come_to_rest_at_r_inf_as_cold_ones_do():
@@ -354,7 +354,7 @@ def test_that_hot_contents_press_by_their_mean_temperature_and_come_to_rest_at_r
     )
     start = solution.bubble_pressure[:, 0] / solution.bubble_pressure[0, 0]
     assert_close(start, tensor(1.0, 1.4, 0.8), rtol=1e-12, atol=0.0)
-    assert float((solution.radius[1:] - solution.radius[0]).abs().max()) > 1e-3
+    assert (solution.radius[1:] - solution.radius[0]).abs().max() > 1e-3
     assert_close(solution.radius[:, -1], tensor(0.3, 0.3, 0.3), rtol=0.0, atol=5e-4)
 
 
@@ -369,10 +369,10 @@ def test_that_the_profile_of_hot_contents_has_its_mean_temperature(warmth):
     y = 0.5 * (1.0 + nodes)
     tau = warm_profile(y, torch.tensor(warmth, dtype=torch.float64), constants)
     temperature = temperature_of(conductivity_of(tau, constants), constants)
-    assert float((1.5 * weights * y * y / temperature).sum()) == pytest.approx(
+    assert (1.5 * weights * y * y / temperature).sum() == pytest.approx(
         1.0 / (1.0 + warmth), rel=1e-10
     )
-    assert float(warm_profile(torch.tensor(1.0), torch.tensor(warmth), constants)) == 0.0
+    assert warm_profile(torch.tensor(1.0), torch.tensor(warmth), constants) == 0.0
 
 
 def test_that_a_drift_of_r_inf_is_exponential_in_time_and_the_same_for_bubbles_of_any_size():
@@ -393,5 +393,5 @@ def test_that_a_drift_of_r_inf_is_exponential_in_time_and_the_same_for_bubbles_o
 def test_that_energy_lost_lowers_every_rebound_and_leaves_the_fall_to_rest_nearly_alone(kind):
     gels = torch.stack([gel(**BASE, energy_loss=x) for x in (0.0, 0.3, 1.0)])
     radius = simulators()[kind](gels, DESIGN, grid(1.8, 181)).radius
-    assert bool((radius[:, 110:].amax(1).diff() < -0.01).all())
-    assert float((radius[:, :80] - radius[:1, :80]).abs().max()) < 0.02
+    assert (radius[:, 110:].amax(1).diff() < -0.01).all()
+    assert (radius[:, :80] - radius[:1, :80]).abs().max() < 0.02

@@ -6,12 +6,12 @@ from concurrent.futures import ProcessPoolExecutor
 
 import pytest
 
-from imr_torch.errors import InputDataError
 from imr_torch.simulate import process_pool
+from tests.refusals import refused
 
 
 def test_that_a_pool_has_workers():
-    with pytest.raises(InputDataError, match="process_pool: workers is 0; expected at least 1"):
+    with refused("process_pool: workers is 0; expected at least 1"):
         process_pool(0)
 
 

@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor
+from torch.testing import assert_close
 
 from imr_torch.files import read_json
 from imr_torch.simulate import STEPPINGS, Conditions, PolytropicGas, PolytropicSimulator, Stepping
 from imr_torch.units import Surroundings
 from tests.simulate.bubble import DESIGN, FINE, GEL, Reference, gel, grid, tensor
+from tests.tables import for_each
 
 AT = tensor(*DESIGN)
 
@@ -33,17 +35,15 @@ SCENES = {
 }
 
 
-@pytest.mark.parametrize(("conditions", "values", "design"), SCENES.values(), ids=SCENES.keys())
+@for_each(("conditions", "values", "design"), SCENES)
 def test_that_the_solution_is_scipys(conditions, values, design):
     times = grid(3.0, 121)
     expected = Reference(conditions, **values).solve(*design, times.numpy())
     solution = PolytropicSimulator(conditions, FINE)(gel(**values), tensor(*design), times)
-    assert bool(solution.ok)
-    torch.testing.assert_close(solution.radius, torch.tensor(expected[0]), rtol=0.0, atol=1e-6)
+    assert solution.ok
+    assert_close(solution.radius, torch.tensor(expected[0]), rtol=0.0, atol=1e-6)
     scale = float(np.abs(expected[1]).max())
-    torch.testing.assert_close(
-        solution.velocity, torch.tensor(expected[1]), rtol=0.0, atol=1e-4 * scale
-    )
+    assert_close(solution.velocity, torch.tensor(expected[1]), rtol=0.0, atol=1e-4 * scale)
 
 
 def test_that_the_default_step_is_good_to_the_floor_of_the_noise():
@@ -56,7 +56,7 @@ def test_that_the_default_step_is_good_to_the_floor_of_the_noise():
             PolytropicSimulator(stepping=s)(gel(**values), designs, grid())
             for s in (Stepping(), FINE)
         )
-        assert float((coarse.radius - fine.radius).abs().max()) < 1e-4
+        assert (coarse.radius - fine.radius).abs().max() < 1e-4
 
 
 def test_that_named_steppings_are_ordered_by_their_error():

@@ -9,9 +9,10 @@ import torch
 from torch import Tensor
 from torch.testing import assert_close
 
-from imr_torch.errors import InputDataError, ShapeError
+from imr_torch.errors import ShapeError
 from imr_torch.float64 import linspace, randn
 from imr_torch.material import PARAMETERS, material
+from imr_torch.random import generator
 from imr_torch.simulate import (
     ACCURACIES,
     DESIGN,
@@ -26,6 +27,7 @@ from imr_torch.simulate import (
     solve_bundles,
 )
 from imr_torch.simulate.engines import ENGINES
+from tests.refusals import refused
 from tests.simulate.bubble import draw_bubbles, gel, grid, tensor
 
 TIMES = linspace(0.0, 1.6, 33)
@@ -75,7 +77,7 @@ def test_that_the_default_accuracy_gives_them_to_two_percent():
     _, exact = sensitivities(
         TransportSimulator(accuracy=Accuracy(1e-6)), parameters, designs, TIMES, names=NAMES
     )
-    active = [i for i in range(len(NAMES)) if bool(exact[..., i].any())]
+    active = [i for i in range(len(NAMES)) if exact[..., i].any()]
     assert relative(jacobian[..., active], exact[..., active]) < 2e-2
 
 
@@ -144,9 +146,9 @@ def test_that_frames_before_the_maximum_are_as_smooth_as_the_others():
     line = parameters.repeat(21, 1)
     line[:, 1] *= linspace(1.0, 1.01, 21)
     radius = FAST.bundle(line, designs, linspace(-0.04, 0.04, 9)).radius
-    assert float(torch.diff(radius, n=2, dim=0).abs().max()) < 1e-12
-    assert bool((torch.diff(radius[:, :5]) > 0.0).all())
-    assert float((radius - radius.flip(1)).abs().max()) < 1e-4  # the maximum is nearly symmetric
+    assert torch.diff(radius, n=2, dim=0).abs().max() < 1e-12
+    assert (torch.diff(radius[:, :5]) > 0.0).all()
+    assert (radius - radius.flip(1)).abs().max() < 1e-4  # the maximum is nearly symmetric
 
 
 @pytest.mark.parametrize("simulator", SIMULATORS)
@@ -173,7 +175,7 @@ def test_that_an_entry_at_its_bound_is_differentiated_inwards(simulator, values,
     move = sign * 1e-4 * max(float(both[0, column]), 1e2 if name == "G" else 0.1)
     both[1, column] += move
     radius = simulator.bundle(both[:, : len(PARAMETERS)], both[:, len(PARAMETERS) :], times).radius
-    assert bool(solution.ok)
+    assert solution.ok
     assert relative(jacobian, ((radius[1] - radius[0]) / move)[:, None]) < 0.02
 
 
@@ -183,8 +185,8 @@ def test_that_a_bubble_that_fails_has_no_sensitivities_and_leaves_the_others_alo
     simulator = TransportSimulator(accuracy=Accuracy(max_steps=70))
     solution, jacobian = sensitivities(simulator, parameters, designs, TIMES, names=("mu",))
     assert solution.status.tolist() == [Status.DONE, Status.TOO_MANY_STEPS]
-    assert bool(torch.isfinite(jacobian[0]).all())
-    assert bool(torch.isnan(jacobian[1, -1]).all())
+    assert torch.isfinite(jacobian[0]).all()
+    assert torch.isnan(jacobian[1, -1]).all()
 
 
 @pytest.mark.parametrize("simulator", SIMULATORS)
@@ -196,11 +198,11 @@ def test_that_followers_that_fail_or_fall_behind_leave_their_leader_alone(simula
     alone = simulator(gel[[0, 2, 3]], shot, TIMES)
     assert bundle.status.tolist() == [Status.DONE] * 4
     assert_close(bundle.radius[0], alone.radius[0], rtol=1e-9, atol=1e-9)
-    assert bool(torch.isnan(bundle.radius[1, 1:]).all())
+    assert torch.isnan(bundle.radius[1, 1:]).all()
     for i, row in enumerate(alone.radius[1:], start=2):
         there = torch.isfinite(bundle.radius[i])
         assert_close(bundle.radius[i, there], row[there], rtol=0.0, atol=5e-3)
-    assert bool(torch.isfinite(bundle.radius[3]).all())
+    assert torch.isfinite(bundle.radius[3]).all()
 
 
 def test_that_a_leader_saved_by_a_finer_step_takes_its_followers_along():
@@ -210,9 +212,9 @@ def test_that_a_leader_saved_by_a_finer_step_takes_its_followers_along():
     parameters = PARAMETERS.neutral()
     designs = tensor(1000.0, 0.05)
     times = linspace(0.0, 1.0, 11)[:9]
-    assert not bool(
-        PolytropicSimulator(stepping=Stepping(0.5, retries=0))(parameters, designs, times + 0.2).ok
-    )
+    assert not PolytropicSimulator(stepping=Stepping(0.5, retries=0))(
+        parameters, designs, times + 0.2
+    ).ok
     coarse, fine = (
         sensitivities(
             PolytropicSimulator(stepping=Stepping(step)),
@@ -223,7 +225,7 @@ def test_that_a_leader_saved_by_a_finer_step_takes_its_followers_along():
         )
         for step in (0.5, 0.03)
     )
-    assert bool(coarse[0].ok)
+    assert coarse[0].ok
     early = slice(0, 6)
     assert relative(coarse[1][early, [0, 1, 4]], fine[1][early, [0, 1, 4]]) < 0.1
 
@@ -234,7 +236,7 @@ def test_that_a_leader_saved_by_a_finer_step_takes_its_followers_along():
 def test_that_gradients_are_the_sensitivities():
     parameters, designs = draw_bubbles(2, 3)
     given = [x.clone().requires_grad_() for x in (parameters, designs, TIMES)]
-    weights = randn(2, len(TIMES), generator=torch.Generator().manual_seed(0))
+    weights = randn(2, len(TIMES), generator=generator(0))
     simulator = PolytropicSimulator()
     gradients = torch.autograd.grad(
         (simulator(given[0], given[1], given[2]).radius * weights).sum(), given
@@ -250,8 +252,8 @@ def test_that_a_relaxation_time_has_a_sensitivity_where_it_is_not_zero():
     gel = PARAMETERS.pack({"G": 3e3, "mu": 0.1, "tau": tensor(0.0, 2e-6)})
     shot = draw_bubbles(1, 3)[1]
     _, jacobian = sensitivities(FAST, gel, shot, TIMES, names=("tau", "mu"))
-    assert bool(torch.isnan(jacobian[0, :, 0]).all())
-    assert bool(torch.isfinite(jacobian[..., 1]).all())
+    assert torch.isnan(jacobian[0, :, 0]).all()
+    assert torch.isfinite(jacobian[..., 1]).all()
     column = PARAMETERS.index(["tau"])[0]
     sides = gel[1].repeat(3, 1)
     sides[1:, column] += tensor(1e-9, -1e-9)
@@ -277,7 +279,7 @@ def test_that_a_failed_member_does_not_spoil_the_gradient_of_the_others():
     solution = simulator(gel, designs, TIMES)
     assert solution.ok.tolist() == [True, False]
     (gradient,) = torch.autograd.grad(solution.radius[solution.ok].sum(), gel)
-    assert bool(torch.isfinite(gradient).all())
+    assert torch.isfinite(gradient).all()
 
 
 def test_that_a_bubble_of_a_bundle_that_is_seen_at_two_times_is_made_once():
@@ -300,12 +302,10 @@ def test_that_a_bubble_of_a_bundle_that_is_seen_at_two_times_is_made_once():
 
 def test_that_an_unknown_name_and_a_bundle_without_members_are_refused():
     parameters, designs = draw_bubbles(1, 3)
-    with pytest.raises(
-        InputDataError, match=r"No sensitivity to 'beta'; known are G, .*rest_radius"
-    ):
+    with refused(r"No sensitivity to 'beta'; known are G, .*rest_radius"):
         sensitivities(FAST, parameters, designs, TIMES, names=("beta",))
     for simulator in (FAST, PolytropicSimulator()):
-        with pytest.raises(ShapeError, match="A bundle needs a batch dimension"):
+        with refused("A bundle needs a batch dimension", ShapeError):
             simulator.bundle(parameters[0], designs[0], TIMES)
 
 

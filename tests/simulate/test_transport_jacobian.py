@@ -7,6 +7,7 @@ import torch
 
 from imr_torch.float64 import eye, full, rand, tensor
 from imr_torch.material import PARAMETERS
+from imr_torch.random import generator
 from imr_torch.simulate import (
     PRESETS,
     RADIAL_EQUATIONS,
@@ -18,6 +19,7 @@ from imr_torch.simulate.linearise import linearise_equations
 from imr_torch.simulate.rhs import HEAD, Equations
 from imr_torch.simulate.rosenbrock import rosenbrock_step
 from tests.simulate.bubble import CLOSURES, sine
+from tests.tables import for_each
 
 
 def gels(**columns):
@@ -63,7 +65,7 @@ ACTING = {
 
 def rough_state(equations, vapour=True):
     """A state with fields of every kind, far from the start."""
-    random = torch.Generator().manual_seed(3)
+    random = generator(3)
     n = equations.n
     m = equations.m
     y = equations.inside.nodes[:, None]
@@ -105,13 +107,13 @@ def assert_jacobian_is_automatic(equations, vapour=True):
     jacobian, _ = linearise_equations(equations, equations.fields(state, time))
     for i, dense in enumerate(dense_jacobians(equations, state, time)):
         size = dense.abs().amax(1, keepdim=True).clamp_min(1e-10)
-        assert float(((jacobian[:, :, i] - dense) / size).abs().max()) < 1e-10
+        assert ((jacobian[:, :, i] - dense) / size).abs().max() < 1e-10
 
 
 @pytest.mark.parametrize(
     "resolution", [Resolution(4, 6), Resolution(5, 5)], ids=["unequal", "equal"]
 )
-@pytest.mark.parametrize("conditions", CLOSURES.values(), ids=CLOSURES)
+@for_each("conditions", CLOSURES)
 def test_the_jacobian_is_that_of_automatic_differentiation(conditions, resolution):
     equations = Equations(Bubbles.of(PARAMETER_ROWS, DESIGNS, conditions), *resolution.grids())
     assert_jacobian_is_automatic(equations, conditions.mixture.vapour == "transported")
@@ -121,22 +123,22 @@ def few_equations(columns, conditions) -> Equations:
     return Equations(Bubbles.of(gels(**columns), DESIGNS, conditions), *Resolution(4, 4).grids())
 
 
-@pytest.mark.parametrize("motion", RADIAL_EQUATIONS.values(), ids=RADIAL_EQUATIONS)
-@pytest.mark.parametrize("columns", REMEMBERING.values(), ids=REMEMBERING)
+@for_each("motion", RADIAL_EQUATIONS)
+@for_each("columns", REMEMBERING)
 def test_so_it_does_with_every_gel_in_every_radial_equation(columns, motion):
     conditions = Conditions(motion=motion, driving=sine(5e4, 2e4))
     assert_jacobian_is_automatic(few_equations(PLAIN | columns, conditions))
 
 
 @pytest.mark.parametrize("key", ["published", "authors_code"])
-@pytest.mark.parametrize("columns", ACTING.values(), ids=ACTING)
+@for_each("columns", ACTING)
 def test_so_it_does_with_every_effect(columns, key):
     for motion in (RADIAL_EQUATIONS["keller_miksis"], RADIAL_EQUATIONS["gilmore"]):
         conditions = replace(PRESETS[key], motion=motion)
         assert_jacobian_is_automatic(few_equations(PLAIN | columns, conditions))
 
 
-@pytest.mark.parametrize("motion", RADIAL_EQUATIONS.values(), ids=RADIAL_EQUATIONS)
+@for_each("motion", RADIAL_EQUATIONS)
 def test_the_slope_in_time_is_that_of_the_acceleration(motion):
     """By automatic differentiation, with driving, a sound field and a pulse at once."""
     columns = PLAIN | ACTING["in a sound field"]
@@ -164,7 +166,7 @@ ORDERS = {
 }
 
 
-@pytest.mark.parametrize(("columns", "conditions"), ORDERS.values(), ids=ORDERS)
+@for_each(("columns", "conditions"), ORDERS)
 def test_steps_are_of_fourth_order(columns, conditions):
     equations = Equations(
         Bubbles.of(gels(**columns), DESIGNS, conditions), *Resolution(8, 8).grids()

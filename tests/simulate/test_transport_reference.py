@@ -9,6 +9,7 @@ from imr_torch.files import read_json
 from imr_torch.float64 import tensor
 from imr_torch.simulate import PRESETS, Accuracy, Resolution, TransportSimulator
 from tests.conformance import authors as adapter
+from tests.refusals import refused
 
 CURVES = {"published": "estrada2018", "authors_code": "parity_spectral"}
 
@@ -69,5 +70,5 @@ def test_on_the_published_grid_the_published_code_is_reproduced(cases, shared):
 
 
 def test_the_adapter_refuses_models_that_the_toolkit_does_not_have(cases):
-    with pytest.raises(UnsupportedError, match="not in the registry"):
+    with refused("not in the registry", UnsupportedError):
         adapter.radius({**cases[0], "equivalent_model": "unheard_of"}, np.linspace(0.0, 1.0, 5))

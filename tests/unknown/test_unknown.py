@@ -43,7 +43,7 @@ def test_that_a_pressure_at_the_wall_is_a_driving_of_the_opposite_sign():
     driven = PolytropicSimulator(replace(SIMULATOR.conditions, driving=driving))
     expected = predict(driven, PARAMETERS.pack(GEL)[None], shot.batch)[0, 0]
     assert torch.allclose(seen, expected, atol=2e-5)
-    assert float((seen - shot.predict(gel, nuisances, 0.0 * pressure)).abs().max()) > 5e-3
+    assert (seen - shot.predict(gel, nuisances, 0.0 * pressure)).abs().max() > 5e-3
 
 
 def test_that_responses_are_the_slopes_of_predictions():
@@ -57,7 +57,7 @@ def test_that_responses_are_the_slopes_of_predictions():
     change = shot.predict(gel, nuisances, more) - shot.predict(gel, nuisances, held)
     whitened = shot.whiten(change[None], response.prediction)[0]
     linear = 1e-3 * response.pressure[20:23].sum(0)
-    assert float((whitened - linear).norm() / whitened.norm()) < 0.05
+    assert (whitened - linear).norm() / whitened.norm() < 0.05
 
 
 STIFFENING = ("alpha", 0.4)
@@ -103,7 +103,7 @@ def test_that_the_true_pressure_is_inside_its_band(truth, least):
         stress = []
         for gel in (PARAMETERS.pack(GEL | truth), fitted):
             theta = dimensionless(gel, size, surroundings)
-            terms = [term for term in TERMS if not term.states and bool(theta[term.switch])]
+            terms = [term for term in TERMS if not term.states and theta[term.switch]]
             response, _ = gel_response(terms, bubble.radius, bubble.velocity, design[1], theta)
             stress.append(response.value)
         true = surroundings.far_field_pressure * (stress[0] - stress[1])
@@ -113,8 +113,8 @@ def test_that_the_true_pressure_is_inside_its_band(truth, least):
         owns.append(shot.pressure[slow])
         sds.append(shot.sd[slow])
     true, own, sd = map(torch.cat, (trues, owns, sds))
-    assert float(((true - own).abs() <= 1.645 * sd).double().mean()) > least
-    assert float((true - own).norm() / true.norm()) < 0.5
+    assert ((true - own).abs() <= 1.645 * sd).double().mean() > least
+    assert (true - own).norm() / true.norm() < 0.5
 
 
 def test_that_nothing_is_found_where_nothing_is_missing():
@@ -122,7 +122,7 @@ def test_that_nothing_is_found_where_nothing_is_missing():
     found = infer_unknown(fit(batch), batch, SIMULATOR)
     assert found.explained < 3.0
     away = [(shot.pressure.abs() > 1.645 * shot.sd).double().mean() for shot in found.shots]
-    assert float(torch.stack(away).mean()) < 0.1
+    assert torch.stack(away).mean() < 0.1
     assert found.terms[NOTHING_KNOWN] > 0.1
 
 
