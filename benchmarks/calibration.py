@@ -54,7 +54,9 @@ UNCERTAIN = Nuisance(max_radius=0.01, time_zero=0.01, rest_radius=0.03)
 VARIANTS = {
     "default": Variant(),
     "nuisances": Variant(UNCERTAIN),
-    "pixels": Variant(UNCERTAIN, Noise(scale=0.2, floor=0.015), estimated=True),  # .003 in R*
+    "pixels": Variant(
+        UNCERTAIN, Noise(scale=0.2, floor=0.015), estimated=True
+    ),  # .003 in R*
     "en4dvar": Variant(options=En4DVarOptions()),
 }
 
@@ -88,7 +90,9 @@ def write_scores(lines: list[Line]) -> str:
             places = [line[answer][name] for line in good if name in line[answer]]
             shares = (coverage(places, level) for level in (0.5, 0.9))
             cells = (f"{x.share:.3f} ({x.low:.3f}-{x.high:.3f})" for x in shares)
-            rows.append((answer, name, len(places), *cells, f"{uniformity(places).spread:.3f}"))
+            rows.append(
+                (answer, name, len(places), *cells, f"{uniformity(places).spread:.3f}")
+            )
     loose = sum(not line["converged"] for line in good)
     verdicts = dict(Counter(line["verdict"] for line in good))
     head = f"{len(lines)} gels, {len(lines) - len(good)} failed, {loose} not converged, {verdicts}"

@@ -23,13 +23,27 @@ import torch
 from scipy.optimize import LinearConstraint, minimize
 from torch import Tensor
 
-from benchmarks.records import Figure, Line, add_out, run_missing_jobs, start_parser, write_figures
+from benchmarks.records import (
+    Figure,
+    Line,
+    add_out,
+    run_missing_jobs,
+    start_parser,
+    write_figures,
+)
 from imr_torch.campaign import Campaign, CampaignSettings, Optimal
 from imr_torch.design import Laplace, Plan, inform_draws
 from imr_torch.design.likelihood import Data, infer_linear
 from imr_torch.design.response import Shot, simulate_response
 from imr_torch.float64 import eye, full, tensor, zeros
-from imr_torch.material import CASES, PARAMETERS, Belief, Cloud, ReferenceCase, reference_case
+from imr_torch.material import (
+    CASES,
+    PARAMETERS,
+    Belief,
+    Cloud,
+    ReferenceCase,
+    reference_case,
+)
 from imr_torch.observe import Experiment, SimulatedLaboratory
 from imr_torch.random import child, generator
 from imr_torch.simulate import (
@@ -50,7 +64,9 @@ Criterion = Callable[[Tensor], Tensor]
 """How often each of some designs is shot, to what it tells; concave."""
 
 
-def run_campaign(case: ReferenceCase, seed: int, designs: int, simulator: Simulator) -> Line:
+def run_campaign(
+    case: ReferenceCase, seed: int, designs: int, simulator: Simulator
+) -> Line:
     """What each design of a seed led to, for the true model, and the CPU time of each step."""
     gel = PARAMETERS.pack(case.truth)
     laboratory = SimulatedLaboratory(simulator, gel, noise=PLAN.noise, repeats=PLAN.repeats)
@@ -81,7 +97,9 @@ def run_campaign(case: ReferenceCase, seed: int, designs: int, simulator: Simula
     return {
         "designs": shot.tolist(),
         "seconds": seconds,
-        "probability": [step.belief.probabilities[case.truth_model] for step in campaign.steps],
+        "probability": [
+            step.belief.probabilities[case.truth_model] for step in campaign.steps
+        ],
         "volume": [float(part.chol.diagonal().log().sum()) for part in parts],
         "ratio": ratios,
         "efficiency": float(efficiency[0]),
@@ -120,7 +138,9 @@ def judge_designs(
         return torch.softmax(-0.5 * away.square().sum(-1), -1)
 
     shot = sets.shape[1] * deliver(torch.cartesian_prod(*axes))
-    value, bound = find_optimum(lambda x: evaluate(x @ shot), full((len(shot),), 1.0 / len(shot)))
+    value, bound = find_optimum(
+        lambda x: evaluate(x @ shot), full((len(shot),), 1.0 / len(shot))
+    )
     found = torch.stack([evaluate(each.sum(0)) for each in deliver(sets)])
     return (found - value).exp(), bound
 
@@ -134,7 +154,9 @@ def criterion_of(campaign: Campaign, designs: Tensor, draws: int) -> Criterion:
         before = campaign.prior[part.model]
         drawn = part.controls(draws, seed=source)
         precisions = before.precision.expand(draws, -1, -1)
-        parts.append(before.with_cloud(Cloud(drawn, precisions, drawn.quantile(levels, dim=0))))
+        parts.append(
+            before.with_cloud(Cloud(drawn, precisions, drawn.quantile(levels, dim=0)))
+        )
     belief = Belief(tuple(parts), campaign.belief.log_probabilities)
     with torch.no_grad():
         shot = Shot(belief, designs, coarser(campaign.simulator), campaign.plan)
@@ -144,7 +166,9 @@ def criterion_of(campaign: Campaign, designs: Tensor, draws: int) -> Criterion:
         total = zeros(())
         for model in models:
             precision = model.before + torch.einsum("q,nqij->nij", numbers, model.of_shots)
-            total = total + model.chance * torch.logdet(precision).mean() / precision.shape[-1]
+            total = (
+                total + model.chance * torch.logdet(precision).mean() / precision.shape[-1]
+            )
         return total / sum(model.chance for model in models)
 
     return evaluate
@@ -187,7 +211,9 @@ def bound_errors(case: ReferenceCase, designs: Tensor, simulator: Simulator) -> 
         with torch.no_grad():
             seen = simulate_response(Shot(belief, design, simulator, PLAN), part, gel)
         chols.append(
-            infer_linear(Data(seen.radius, PLAN.frames_in_window(seen.radius)), seen, PLAN).chol[0]
+            infer_linear(
+                Data(seen.radius, PLAN.frames_in_window(seen.radius)), seen, PLAN
+            ).chol[0]
         )
     known = torch.stack(chols)
     prior = eye(len(part.names))
@@ -207,9 +233,14 @@ def score_campaigns(lines: list[Line], designs: int) -> list[Figure]:
             Figure.of_share(f"right model certain {after}", sure),
             Figure.of_quantile(f"least sd over its bound {after}", ratios, 0.0),
             Figure.of_quantile(f"largest sd over its bound {after}", ratios, 1.0),
-            Figure.of_mean(f"CPU of step {n + 1}, s", [line["seconds"][n] for line in lines]),
+            Figure.of_mean(
+                f"CPU of step {n + 1}, s", [line["seconds"][n] for line in lines]
+            ),
         ]
-    for name, what in (("efficiency", "of the designs chosen"), ("random", "of random designs")):
+    for name, what in (
+        ("efficiency", "of the designs chosen"),
+        ("random", "of random designs"),
+    ):
         values = [line[name] for line in lines if name in line]
         figures += [Figure.of_quantile(f"efficiency {what}, median", values, 0.5)]
         figures += [Figure.of_quantile(f"efficiency {what}, least", values, 0.0)]

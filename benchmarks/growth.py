@@ -38,7 +38,14 @@ from imr_torch.errors import InputDataError
 from imr_torch.material import LIBRARY, Belief
 from imr_torch.material.belief import even_belief
 from imr_torch.material.model_belief import add_parameters
-from imr_torch.observe import Experiment, ExperimentBatch, Noise, collapse_time, predict, prepare
+from imr_torch.observe import (
+    Experiment,
+    ExperimentBatch,
+    Noise,
+    collapse_time,
+    predict,
+    prepare,
+)
 from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator
 
 LOWEST = 0.6
@@ -82,7 +89,9 @@ def residual_of(
 def mirror(shot: Experiment, frames: Tensor) -> Tensor:
     """The residual of growth by the measured collapse, mirrored in time."""
     after = shot.times >= 0.0
-    copied = np.interp(-shot.times.numpy(), shot.times[after].numpy(), shot.mean[after].numpy())
+    copied = np.interp(
+        -shot.times.numpy(), shot.times[after].numpy(), shot.mean[after].numpy()
+    )
     return standardise(shot, torch.from_numpy(copied))[frames]
 
 
@@ -100,7 +109,9 @@ def judge_set(path: Path, model: str, most: int) -> Line:
         prepared = prepare(traces, simulator.conditions.surroundings, growth=LOWEST)
     except InputDataError as error:  # a record without R_inf
         return {"shots": 0, "refused": str(error).replace(f"{path.parent}/", "")}
-    shots = [shot for shot in prepared.experiments if int((shot.times < 0.0).sum()) >= FEWEST]
+    shots = [
+        shot for shot in prepared.experiments if int((shot.times < 0.0).sum()) >= FEWEST
+    ]
     shots = tuple(shots[:: max(1, len(shots) // most)][:most])
     if not shots:
         return {"shots": 0}
@@ -113,7 +124,8 @@ def judge_set(path: Path, model: str, most: int) -> Line:
         "shots": len(shots),
         "growth": residual_of(prior, shots, after, early, simulator),
         "mirrored": [
-            float(mirror(s, f).square().mean().sqrt()) for s, f in zip(shots, early, strict=True)
+            float(mirror(s, f).square().mean().sqrt())
+            for s, f in zip(shots, early, strict=True)
         ],
         "later": residual_of(prior, shots, first, late, simulator),
     }
@@ -150,7 +162,9 @@ def write_page(lines: list[Line]) -> str:
         )
         for x in told
     ]
-    page = write_table(("set", "shots", "growth", "growth by the mirror", "later cycles"), rows)
+    page = write_table(
+        ("set", "shots", "growth", "growth by the mirror", "later cycles"), rows
+    )
     for model in MODELS:
         own = [x for x in told if x["key"].endswith(f"/{model}")]
         medians = {

@@ -78,7 +78,12 @@ def space_designs(count: int) -> Tensor:
 
 
 def estimate_surface(
-    points: Tensor, repeats: int, estimator: InformationEstimator, seed: int, *, common: bool
+    points: Tensor,
+    repeats: int,
+    estimator: InformationEstimator,
+    seed: int,
+    *,
+    common: bool,
 ) -> Tensor:
     """Gains at designs, ``n``, of polytropic bubbles."""
     values = [
@@ -113,7 +118,10 @@ def rank_designs(repeats: int) -> Line:
         cpu = (time.process_time() - started) / seeds / len(points)
         means = tensor(found).mean(0).tolist()
         rows.append((repr(estimator), common, *means, cpu))
-    return {"head": ("estimator", "common draws", "Spearman", "loss", "CPU a design"), "rows": rows}
+    return {
+        "head": ("estimator", "common draws", "Spearman", "loss", "CPU a design"),
+        "rows": rows,
+    }
 
 
 def search_designs() -> Line:
@@ -150,12 +158,16 @@ def time_estimates(repeats: int) -> Line:
         ("refined", Laplace(draws=16)),
         ("at a draw", Laplace(draws=16, refinements=0)),
     ):
-        acquisition = ExpectedInformationGain(PRIOR, simulator, estimator, plan=PLANS[repeats])
+        acquisition = ExpectedInformationGain(
+            PRIOR, simulator, estimator, plan=PLANS[repeats]
+        )
         estimates = [
             _seconds_of(partial(acquisition.estimate, point[None], seed=1))
             for point in space_designs(8)
         ]
-        searches = [_seconds_of(partial(search_design, acquisition, seed=s)) for s in range(3)]
+        searches = [
+            _seconds_of(partial(search_design, acquisition, seed=s)) for s in range(3)
+        ]
         rows.append((name, statistics.median(estimates), statistics.median(searches)))
     return {"head": ("rivals", "an estimate, s", "a search, s"), "rows": rows}
 
@@ -168,7 +180,12 @@ def compare_coarse_bubbles(case: str) -> Line:
         X = tensor([design])
         fine, coarse = (
             expected_information_gain(
-                reference_case(case).prior, X, s, PLANS[1], estimator=Laplace(draws=32), seed=1
+                reference_case(case).prior,
+                X,
+                s,
+                PLANS[1],
+                estimator=Laplace(draws=32),
+                seed=1,
             )
             for s in (simulator, coarser(simulator))
         )
@@ -203,9 +220,13 @@ class Recalled:
         """See :class:`~imr_torch.simulate.Simulator`."""
         return self._recall(self.simulator.bundle, (parameters, designs, times))
 
-    def _recall(self, solve: Callable[..., Solution], asked: tuple[Tensor, ...]) -> Solution:
+    def _recall(
+        self, solve: Callable[..., Solution], asked: tuple[Tensor, ...]
+    ) -> Solution:
         for arguments, solution in self.solved:
-            if all(torch.equal(one, other) for one, other in zip(arguments, asked, strict=True)):
+            if all(
+                torch.equal(one, other) for one, other in zip(arguments, asked, strict=True)
+            ):
                 return solution
         self.solved = [*self.solved[-3:], (asked, solve(*asked))]
         return self.solved[-1][1]
@@ -252,12 +273,15 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=1, help="processes, one thread each")
     args = parser.parse_args()
     jobs: dict[str, dict[str, Job]] = {
-        "model": {f"model/{design}": partial(bound_model_gain, design) for design in DESIGNS},
+        "model": {
+            f"model/{design}": partial(bound_model_gain, design) for design in DESIGNS
+        },
         "ranking": {f"ranking/{n} curves": partial(rank_designs, n) for n in PLANS},
         "searching": {"searching": search_designs},
         "cost": {f"cost/{n} curves": partial(time_estimates, n) for n in PLANS},
         "coarse": {
-            f"coarse/{c}": partial(compare_coarse_bubbles, c) for c in ("stiff-pa", "soft-pa")
+            f"coarse/{c}": partial(compare_coarse_bubbles, c)
+            for c in ("stiff-pa", "soft-pa")
         },
     }
     lines = run_missing_jobs(args.out, jobs[args.part], workers=args.workers)

@@ -34,7 +34,14 @@ from imr_torch.assimilate import SearchOptions
 from imr_torch.cli import common, main
 from imr_torch.cli.common import METHODS
 
-WATCHED = ("journal", ".journal", "experiment_", ".experiment_", "campaign.json", ".campaign.json")
+WATCHED = (
+    "journal",
+    ".journal",
+    "experiment_",
+    ".experiment_",
+    "campaign.json",
+    ".campaign.json",
+)
 OPTIONS = shlex.split(
     "--models nhkv --policy space-filling --repeats 1 --physics polytropic --threads 1 --quiet"
 )
@@ -59,7 +66,9 @@ class Disk:
         self.done = 0
         self.full = False
 
-    def step(self, name: object, *, writes: bool, half: Callable[[], object] | None = None) -> None:
+    def step(
+        self, name: object, *, writes: bool, half: Callable[[], object] | None = None
+    ) -> None:
         """One operation on a file; ``half`` does the first half of it."""
         if not Path(os.fsdecode(name)).name.startswith(WATCHED):  # type: ignore[arg-type]
             return
@@ -116,7 +125,9 @@ class Disk:
                 (
                     os,
                     "fdopen",
-                    lambda fd, *a, **k: _Stream(fdopen(fd, *a, **k), names.get(fd, "other"), self),
+                    lambda fd, *a, **k: _Stream(
+                        fdopen(fd, *a, **k), names.get(fd, "other"), self
+                    ),
                 ),
                 (os, "open", made),
                 (os, "fsync", flushed),
@@ -199,7 +210,9 @@ def forked(work: Callable[[], int], disk: Disk | None = None) -> Ended:
         _, status = os.waitpid(child, 0)
         done = int(counted.read_text()) if counted.exists() else -1
         return Ended(
-            os.waitstatus_to_exitcode(status), said.read_text() if said.exists() else "", done
+            os.waitstatus_to_exitcode(status),
+            said.read_text() if said.exists() else "",
+            done,
         )
 
 
@@ -240,7 +253,9 @@ class RealCampaign:
         self.curves = curves
         self.options = options
 
-    def arguments(self, out: Path, number: int, *, resume: bool, tell: bool = True) -> list[str]:
+    def arguments(
+        self, out: Path, number: int, *, resume: bool, tell: bool = True
+    ) -> list[str]:
         """Command ``number``: 0 asks, n tells the n-th curve."""
         told = (
             ["--rest-radius", "0.2:0.05", "--tell", str(self.curves[number - 1])]
@@ -260,7 +275,9 @@ class RealCampaign:
         """The folder after an uninterrupted command."""
         return self.folder / f"whole_{number}"
 
-    def work(self, out: Path, number: int, *, resume: bool, tell: bool = True) -> Callable[[], int]:
+    def work(
+        self, out: Path, number: int, *, resume: bool, tell: bool = True
+    ) -> Callable[[], int]:
         """A command, as a function."""
         arguments = self.arguments(out, number, resume=resume, tell=tell)
 
@@ -313,7 +330,9 @@ def split(data: Path, names: Sequence[str], folder: Path) -> list[Path]:
     files = []
     for name in names:
         files.append(folder / f"{name}.csv")
-        files[-1].write_text(header + "".join(row for row in rows if row.split(",")[0] == name))
+        files[-1].write_text(
+            header + "".join(row for row in rows if row.split(",")[0] == name)
+        )
     return files
 
 
@@ -323,7 +342,9 @@ Problems = dict[str, list[str | None]]
 
 def count_same(found: Problems) -> str:
     """How many interruptions left the uninterrupted journal, in words."""
-    return ", ".join(f"{name} {rows.count(None)} of {len(rows)}" for name, rows in found.items())
+    return ", ".join(
+        f"{name} {rows.count(None)} of {len(rows)}" for name, rows in found.items()
+    )
 
 
 def interrupt_all(real: RealCampaign, every: int) -> Problems:
@@ -338,7 +359,9 @@ def interrupt_all(real: RealCampaign, every: int) -> Problems:
             found[killed].append(problem or _expect(ended, ended.code == -signal.SIGKILL))
             ended, problem = real.interrupt(number, Disk(at, "full"))
             plain = ended.code in (0, 1) and "Traceback" not in ended.said
-            found[full].append(problem or _expect(ended, plain and ended.said.count("\n") <= 1))
+            found[full].append(
+                problem or _expect(ended, plain and ended.said.count("\n") <= 1)
+            )
         print(f"command {number}: {count_same(found)}", flush=True)
     return found
 
@@ -353,10 +376,16 @@ def start() -> None:
     parser.add_argument("--data", type=Path, default=EXAMPLE)
     parser.add_argument("--experiments", default="shot_1,shot_2,shot_3")
     parser.add_argument(
-        "--goal", choices=("gel", *GOALS), default="gel", help="of the campaign (default gel)"
+        "--goal",
+        choices=("gel", *GOALS),
+        default="gel",
+        help="of the campaign (default gel)",
     )
     parser.add_argument(
-        "--every", type=int, default=1, help="operations from one that is failed to the next"
+        "--every",
+        type=int,
+        default=1,
+        help="operations from one that is failed to the next",
     )
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:

@@ -64,7 +64,9 @@ def measure_cost(shots: int, frames: int) -> Line:
 
     before = seconds_of(make_bubbles, 2)
     started = time.process_time()
-    result = characterize(curves, prior=wide_prior(["nhkv"]), simulator=simulator, medium=UNSTATED)
+    result = characterize(
+        curves, prior=wide_prior(["nhkv"]), simulator=simulator, medium=UNSTATED
+    )
     spent = time.process_time() - started
     bubble = 0.5 * (before + seconds_of(make_bubbles, 2)) / BUBBLES
     fit = result.assimilation.fits[0]
@@ -93,7 +95,15 @@ def main() -> None:
         for shots in map(int, args.shots.split(","))
     }
     lines = run_missing_jobs(args.out, jobs)
-    columns = ("shots", "fitted_frames", "cpu", "bubble_ms", "in_bubbles", "verdict", "explained")
+    columns = (
+        "shots",
+        "fitted_frames",
+        "cpu",
+        "bubble_ms",
+        "in_bubbles",
+        "verdict",
+        "explained",
+    )
     rows = [[what, *(line[column] for column in columns)] for line in lines]
     print(write_table(("curves", *columns), rows))
 

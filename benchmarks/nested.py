@@ -39,7 +39,9 @@ def log_likelihood(
 
     All shapes ``... x q x T`` broadcast, the result is ``...``.
     """
-    log, equations = linearise_data(data, radius, radius[..., None][..., :0], by_nuisance, plan)
+    log, equations = linearise_data(
+        data, radius, radius[..., None][..., :0], by_nuisance, plan
+    )
     still = by_nuisance.new_zeros(by_nuisance.shape[-3], by_nuisance.shape[-1])
     return log + equations.with_prior(still[0, :0], still).log_nuisance_integral
 
@@ -54,7 +56,10 @@ def pairwise_log_likelihood(
     return torch.cat(
         [
             log_likelihood(
-                Data(b.radius[:, None], b.window[:, None]), gels.radius, gels.by_nuisance, plan
+                Data(b.radius[:, None], b.window[:, None]),
+                gels.radius,
+                gels.by_nuisance,
+                plan,
             )
             for b in blocks
         ]
@@ -87,7 +92,8 @@ class NestedMonteCarlo(InformationEstimator):
 
         def draw_gels(count: int) -> Gels:
             controls = [
-                randn(count, len(part.names), generator=generator) for part in shot.belief.models
+                randn(count, len(part.names), generator=generator)
+                for part in shot.belief.models
             ]
             return simulate_gels(shot, controls, gel=False)
 
@@ -95,7 +101,12 @@ class NestedMonteCarlo(InformationEstimator):
         data = gels.observe(shot, generator)
         log_weights = shot.belief.log_probabilities
         return _estimate_gain(
-            gels, data, draw_gels(self.inner), log_weights, shot.plan, contrastive=self.contrastive
+            gels,
+            data,
+            draw_gels(self.inner),
+            log_weights,
+            shot.plan,
+            contrastive=self.contrastive,
         )
 
 

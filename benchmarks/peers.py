@@ -103,7 +103,11 @@ def keller_miksis(y: Any, bubble: Any) -> tuple[Any, Any]:
     rate = strain * (-3.0 * KAPPA * gas + tension / radius + 4.0 * viscosity * strain)
     rate = rate - 2.0 * modulus * strain * (stretch + stretch**4)
     mach = slowness * velocity
-    force = (1.0 + mach) * wall + slowness * radius * rate - 1.5 * (1.0 - mach / 3.0) * velocity**2
+    force = (
+        (1.0 + mach) * wall
+        + slowness * radius * rate
+        - 1.5 * (1.0 - mach / 3.0) * velocity**2
+    )
     return velocity, force / ((1.0 - mach) * radius + 4.0 * slowness * viscosity)
 
 
@@ -158,7 +162,9 @@ class FromZero(MieGruneisen):
     law = staticmethod(from_zero)
 
 
-def timed(work: Callable[[Bubbles], np.ndarray]) -> Callable[[Bubbles], tuple[np.ndarray, float]]:
+def timed(
+    work: Callable[[Bubbles], np.ndarray],
+) -> Callable[[Bubbles], tuple[np.ndarray, float]]:
     """The same with its CPU seconds."""
 
     def measured(bubbles: Bubbles) -> tuple[np.ndarray, float]:
@@ -192,7 +198,12 @@ def solvers_of(peer: Peer | None) -> dict[str, tuple[Any, str, int, bool]]:
         "PyIMR, 48": (theirs(True, radial=2), "polytropic", 48, False),
         "PyIMR full FD 25 x 25, 1": (theirs(False, **grid, Nt=25, Mt=25), "full", 1, False),
         "PyIMR full FD 25 x 25, 48": (theirs(True, **grid, Nt=25, Mt=25), "full", 48, True),
-        "PyIMR full FD 100 x 100, 1": (theirs(False, **grid, Nt=100, Mt=100), "full", 1, True),
+        "PyIMR full FD 100 x 100, 1": (
+            theirs(False, **grid, Nt=100, Mt=100),
+            "full",
+            1,
+            True,
+        ),
     }
     return found
 
@@ -215,7 +226,11 @@ def measure_costs(peer: Peer | None, rounds: int) -> list[dict[str, Any]]:
             radius, seconds = work(bubbles)
             taken[name].append(1e3 * seconds / count)
             few = bubbles[:6]
-            finest = solve_scipy(few, 1e-11) if physics == "polytropic" else solve_here(sharp, few)
+            finest = (
+                solve_scipy(few, 1e-11)
+                if physics == "polytropic"
+                else solve_here(sharp, few)
+            )
             errors[name] += np.abs(radius[: len(few)] - finest).max(1).tolist()
     return [
         {
@@ -243,7 +258,11 @@ def compare_fluids(peer: Peer, bubbles: Bubbles) -> list[dict[str, Any]]:
     deborah = times["relaxation_time_s"] / float(OUTER.time_scale(SIZE))
     fluids: dict[str, tuple[str, dict[str, float], dict[str, float]]] = {
         "Oldroyd-B": ("OldroydB", {}, {"tau_ucm": 5e-6}),
-        "Giesekus": ("Giesekus", {"mobility": 0.3}, {"tau_giesekus": 5e-6, "mobility": 0.3}),
+        "Giesekus": (
+            "Giesekus",
+            {"mobility": 0.3},
+            {"tau_giesekus": 5e-6, "mobility": 0.3},
+        ),
         "linear Phan-Thien-Tanner": (
             "LinearPTT",
             {"extensibility": 0.2 * deborah},
@@ -284,15 +303,23 @@ def compare_trajectories(peer: Peer) -> list[dict[str, Any]]:
         "Keller-Miksis, enthalpy, Mie-Gruneisen": (KellerMiksisEnthalpy(steep), 5, outer),
         "Gilmore, Tait, whole rate": (WholeRateGilmore(tait), 4, own_speed),
         "Gilmore, Tait": (Gilmore(tait), 4, own_speed),
-        "Gilmore, Mie-Gruneisen, whole rate, from zero": (WholeRateGilmore(FromZero()), 6, outer),
+        "Gilmore, Mie-Gruneisen, whole rate, from zero": (
+            WholeRateGilmore(FromZero()),
+            6,
+            outer,
+        ),
         "Gilmore, Mie-Gruneisen": (Gilmore(steep), 6, outer),
     }
-    fine = Stepping(0.03, max_steps=10**5)  # by tensors: the peer's forms need not be compiled
+    fine = Stepping(
+        0.03, max_steps=10**5
+    )  # by tensors: the peer's forms need not be compiled
     rows = []
     for name, (motion, radial, speed) in cases.items():
         beside = replace(OUTER, sound_speed=speed)
         conditions = replace(POLYTROPIC, surroundings=beside, motion=motion)
-        ours = solve_here(PolytropicSimulator(conditions, fine, engine="torchdiffeq"), bubbles)
+        ours = solve_here(
+            PolytropicSimulator(conditions, fine, engine="torchdiffeq"), bubbles
+        )
         theirs, _ = peer.solve(bubbles, FINE | {"radial": radial}, sound_speed_m_s=speed)
         rows.append({"key": f"same/{name}", "largest": largest_difference(ours, theirs)})
     rows += compare_fluids(peer, bubbles)
@@ -332,7 +359,9 @@ def explain_full_physics(python: str, folder: Path) -> list[dict[str, Any]]:
     rows = []
     for name, physics, without, nodes, outer in cases:
         peer = Peer(python, folder, without)
-        ours = solve_here(TransportSimulator(physics, ACCURACIES["reference"], threads=1), few)
+        ours = solve_here(
+            TransportSimulator(physics, ACCURACIES["reference"], threads=1), few
+        )
         usual = timed(partial(solve_here, TransportSimulator(physics, threads=1)))
         usual(draw_bubbles(2, 8)[:1])
         here, here_seconds = usual(few)
@@ -359,7 +388,9 @@ def main() -> None:
     parser.add_argument("--env", help="folder of PyIMR's environment, kept if named")
     parser.add_argument("--rounds", type=int, default=9)
     parser.add_argument(
-        "--parts", default="same,cost", help=f"of {', '.join(PARTS)} (half an hour: explain)"
+        "--parts",
+        default="same,cost",
+        help=f"of {', '.join(PARTS)} (half an hour: explain)",
     )
     parser.add_argument("--out", help="JSON lines; rows of other parts stay")
     args = parser.parse_args()
@@ -385,7 +416,9 @@ def main() -> None:
     if args.out:
         out = Path(args.out)
         lines = out.read_text().splitlines(keepends=True) if out.exists() else []
-        kept = [line for line in lines if json.loads(line)["key"].split("/")[0] not in parts]
+        kept = [
+            line for line in lines if json.loads(line)["key"].split("/")[0] not in parts
+        ]
         out.write_text("".join(kept) + text)
 
 

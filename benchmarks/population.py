@@ -19,7 +19,14 @@ from typing import Any
 
 import torch
 
-from benchmarks.records import Figure, Line, add_out, run_missing_jobs, start_parser, write_figures
+from benchmarks.records import (
+    Figure,
+    Line,
+    add_out,
+    run_missing_jobs,
+    start_parser,
+    write_figures,
+)
 from imr_torch import PolytropicSimulator
 from imr_torch.assimilate import SearchOptions
 from imr_torch.errors import ImrError
@@ -32,7 +39,9 @@ from imr_torch.random import child, generator
 KINDS = ("prior", "none", "prior", "none", "prior", "none", "0.1", "0.2", "0.4")
 UNCERTAIN = Nuisance(max_radius=0.005, time_zero=0.008, rest_radius=0.02)
 NOISE = Noise(scale=0.5)
-PRIOR = Belief.prior({"nhkv": {"G": LogNormal(8e3, 2.0), "mu": LogNormal(0.1, 2.0)}})["nhkv"]
+PRIOR = Belief.prior({"nhkv": {"G": LogNormal(8e3, 2.0), "mu": LogNormal(0.1, 2.0)}})[
+    "nhkv"
+]
 NAMES = PRIOR.names
 OPTIONS = SearchOptions(raw_samples=96, starts=2)
 
@@ -63,13 +72,19 @@ def simulate_population(
         )
         try:
             shot = laboratory.shoot(
-                design, seed=child(seed, "shot", number, len(shots)), label=f"shot {len(shots)}"
+                design,
+                seed=child(seed, "shot", number, len(shots)),
+                label=f"shot {len(shots)}",
             )
         except ImrError:
             continue
         shots.append(shot.until(2.5))
         gels.append(gel.tolist())
-    return {"median": median.exp().tolist(), "scatter": scatter.tolist(), "gels": gels}, shots
+    return {
+        "median": median.exp().tolist(),
+        "scatter": scatter.tolist(),
+        "gels": gels,
+    }, shots
 
 
 def judge_population(found: Population, truth: dict[str, Any]) -> dict[str, Any]:
@@ -80,9 +95,12 @@ def judge_population(found: Population, truth: dict[str, Any]) -> dict[str, Any]
         for i, name in enumerate(NAMES)
     ]
     return {
-        "median": {name: (*found.median(name), truth["median"][i]) for i, name in enumerate(NAMES)},
+        "median": {
+            name: (*found.median(name), truth["median"][i]) for i, name in enumerate(NAMES)
+        },
         "scatter": {
-            name: (*found.scatter(name), truth["scatter"][i]) for i, name in enumerate(NAMES)
+            name: (*found.scatter(name), truth["scatter"][i])
+            for i, name in enumerate(NAMES)
         },
         "rank": {name: _ranks(found, name, truth) for name in NAMES},
         "shots": [sum(shots), len(shots)],
@@ -160,7 +178,11 @@ def main() -> None:
     numbers = range(args.populations)
     jobs = {f"{n}": partial(infer_one, n, args.seed, args.noise) for n in numbers}
     notes = {f"{n}": {"kind": KINDS[n % len(KINDS)]} for n in numbers}
-    print(score_populations(run_missing_jobs(args.out, jobs, about=notes, workers=args.workers)))
+    print(
+        score_populations(
+            run_missing_jobs(args.out, jobs, about=notes, workers=args.workers)
+        )
+    )
 
 
 if __name__ == "__main__":

@@ -37,11 +37,18 @@ class Peer:
     def __init__(self, python: str, folder: Path, without: tuple[str, ...] = ()) -> None:
         inside = folder / "bin" / "python"
         if not inside.exists():
-            subprocess.run([python, "-m", "venv", str(folder)], check=True, capture_output=True)
+            subprocess.run(
+                [python, "-m", "venv", str(folder)], check=True, capture_output=True
+            )
             install = [str(inside), "-m", "pip", "install", "-q", "PyIMR==0.1.1"]
             subprocess.run(install, check=True, capture_output=True)
         self._process = subprocess.Popen(
-            [str(inside), "-c", "import pyimr_worker; pyimr_worker.answer_jobs()", *without],
+            [
+                str(inside),
+                "-c",
+                "import pyimr_worker; pyimr_worker.answer_jobs()",
+                *without,
+            ],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,

@@ -64,9 +64,16 @@ def solve_job(job: dict[str, Any]) -> np.ndarray:
         settings = json.dumps([job["options"], job["physics"]])
         if settings not in PREPARED:
             PREPARED[settings] = pyimr.prepare(configuration_of(job["bubbles"][0], job))
-        return PREPARED[settings].solve_sweep(times, PATHS, np.array(job["bubbles"])).radius_ratio
+        return (
+            PREPARED[settings]
+            .solve_sweep(times, PATHS, np.array(job["bubbles"]))
+            .radius_ratio
+        )
     return np.array(
-        [pyimr.simulate(times, configuration_of(x, job)).radius_ratio for x in job["bubbles"]]
+        [
+            pyimr.simulate(times, configuration_of(x, job)).radius_ratio
+            for x in job["bubbles"]
+        ]
     )
 
 

@@ -66,7 +66,9 @@ _DROP_BEHIND = 50.0  # nats by which a model must be behind to be left there
 def read_curves(file: Path, most: int) -> tuple[TraceSet, tuple[float, float] | None]:
     """The curves that are used, and the R_inf/Rmax that is assumed where one of them holds none."""
     about = json.loads(file.with_suffix(".json").read_text(encoding="utf-8"))
-    grows = {row["experiment_id"] for row in about["experiments"] if row.get("late_regrowth")}
+    grows = {
+        row["experiment_id"] for row in about["experiments"] if row.get("late_regrowth")
+    }
     traces = load_traces(file)
     names = [trace.experiment_id for trace in traces if trace.experiment_id not in grows]
     able = [name for name in names if _is_long_enough(traces.select([name]))] or names
@@ -99,8 +101,13 @@ def characterize_set(file: Path, most: int, medium: str) -> Line:
     document = result.to_dict()
     for name in ("belief", "prior", "weighted_draws", "population"):
         document.pop(name)
-    document["cautions"] = [text.replace(f"{file.parent}/", "") for text in document["cautions"]]
-    return document | {"best": result.posterior.best.model, "rest_assumed": rest is not None}
+    document["cautions"] = [
+        text.replace(f"{file.parent}/", "") for text in document["cautions"]
+    ]
+    return document | {
+        "best": result.posterior.best.model,
+        "rest_assumed": rest is not None,
+    }
 
 
 def diagnose_set(file: Path, most: int, medium: str, *, other: bool) -> Line:
@@ -132,7 +139,9 @@ def diagnose_set(file: Path, most: int, medium: str, *, other: bool) -> Line:
     about["strengths"] = strengths_of(report)
     if parts is not None and parts.shrinkage is not None:
         about |= left_on(unseen, report, simulator, seed)
-    return about | {name: document[name] for name in KEPT} | {"rest_assumed": rest is not None}
+    return (
+        about | {name: document[name] for name in KEPT} | {"rest_assumed": rest is not None}
+    )
 
 
 def strengths_of(report: GapReport) -> dict[str, float]:
@@ -140,7 +149,9 @@ def strengths_of(report: GapReport) -> dict[str, float]:
     fit = report.selected_fit
     values = dict(zip(fit.prior.names, fit.prior.physical(fit.mean), strict=True))
     amplitudes = ((effect.names[0], effect) for effect in report.selected.effects)
-    return {e.name: float(e.priors[name].to_control(values[name])) for name, e in amplitudes}
+    return {
+        e.name: float(e.priors[name].to_control(values[name])) for name, e in amplitudes
+    }
 
 
 def further_curves(
@@ -236,7 +247,10 @@ def run_task(file: Path, task: str, most: int) -> Line:
     line: Line = {"set": name, "task": task, "stated": SETS[name], "max_curves": most}
     try:
         line |= TASKS[task](file, most, SETS[name])
-    except (ImrError, RuntimeError) as error:  # torch reports a singular matrix as the latter
+    except (
+        ImrError,
+        RuntimeError,
+    ) as error:  # torch reports a singular matrix as the latter
         line["error"] = in_one_line(error).replace(f"{file.parent}/", "")
     return line | {"cpu": time.process_time() - started}
 
@@ -248,9 +262,13 @@ def main() -> None:
     work = commands.add_parser("run")
     work.add_argument("folder", type=Path)
     add_out(work)
-    work.add_argument("--sets", default="", help="only names that begin so, comma-separated")
+    work.add_argument(
+        "--sets", default="", help="only names that begin so, comma-separated"
+    )
     work.add_argument("--tasks", default=",".join(TASKS), help="comma-separated")
-    work.add_argument("--max-curves", type=int, default=4, help="most curves of a set; 0 for all")
+    work.add_argument(
+        "--max-curves", type=int, default=4, help="most curves of a set; 0 for all"
+    )
     show = commands.add_parser("table")
     show.add_argument("out", type=Path, metavar="OUT.jsonl")
     show.add_argument("page", type=Path, metavar="PAGE.md")
@@ -260,7 +278,9 @@ def main() -> None:
         write_page(read_record(args.out), args.page, args.figures)
         return
     jobs = {
-        f"{name}/{task}": partial(run_task, args.folder / f"{name}.csv", task, args.max_curves)
+        f"{name}/{task}": partial(
+            run_task, args.folder / f"{name}.csv", task, args.max_curves
+        )
         for name in SETS
         for task in args.tasks.split(",")
         if name.startswith(tuple(args.sets.split(",")))

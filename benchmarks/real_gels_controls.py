@@ -19,7 +19,9 @@ Record = dict[tuple[str, str], Line]
 
 Answer = tuple[str, bool]
 
-KNOWN = tomllib.loads(Path(__file__).with_name("records").joinpath("real_gels.toml").read_text())
+KNOWN = tomllib.loads(
+    Path(__file__).with_name("records").joinpath("real_gels.toml").read_text()
+)
 """Of the sets their media, independent values, and what the controls are."""
 
 LIQUIDS = tuple(f"peg8k_{share}pct_liquid" for share in (20, 40, 60, 80))
@@ -78,7 +80,11 @@ def _diagnosed(record: Record, *fields: str) -> list[Line]:
     Raises:
         LookupError: where there are none.
     """
-    rows = [x for (_, task), x in record.items() if task == "diagnose" and all(map(x.get, fields))]
+    rows = [
+        x
+        for (_, task), x in record.items()
+        if task == "diagnose" and all(map(x.get, fields))
+    ]
     if not rows:
         raise LookupError
     return rows
@@ -86,7 +92,9 @@ def _diagnosed(record: Record, *fields: str) -> list[Line]:
 
 def _in_words(intervals: Iterable[list[float]], unit: str, scale: float = 1.0) -> str:
     ends = ([scale * x for x in own] for own in intervals)
-    return ", ".join(f"{mid:.3g} ({low:.3g} to {high:.3g})" for low, mid, high in ends) + unit
+    return (
+        ", ".join(f"{mid:.3g} ({low:.3g} to {high:.3g})" for low, mid, high in ends) + unit
+    )
 
 
 def check_liquids(record: Record) -> Answer:
@@ -117,7 +125,10 @@ def check_independent_viscosities(record: Record) -> Answer:
         for own in find_independent(row["set"], "mu"):
             ratios.setdefault(own["reading"], []).append(middle / sqrt(prod(own["ends"])))
     words = (f"{key}: {', '.join(f'{x:.2g}' for x in own)}" for key, own in ratios.items())
-    fits = (len(own) == len(LIQUIDS) and all(0.5 < x < 2 for x in own) for own in ratios.values())
+    fits = (
+        len(own) == len(LIQUIDS) and all(0.5 < x < 2 for x in own)
+        for own in ratios.values()
+    )
     return "; ".join(words), any(fits)
 
 
@@ -151,7 +162,11 @@ def _check_causes(
             sure = [row for row in rows if row.get("verdict") in ("effect", "class")]
             found.append({cause for row in sure for cause in row["cause"]})
             failed |= "error" in rows[0]
-            said = "not fitted" if "error" in rows[0] else ", ".join(sorted(found[-1])) or "none"
+            said = (
+                "not fitted"
+                if "error" in rows[0]
+                else ", ".join(sorted(found[-1])) or "none"
+            )
             words.append(f"{name}: {said}")
         return "; ".join(words), holds(found) and not failed
 
@@ -168,7 +183,10 @@ def _check_drives(gel: str) -> Callable[[Record], Answer]:
 def check_crosslinking(record: Record) -> Answer:
     """G by the share of PEGDA."""
     found = [model(row, "nhkv")["intervals"]["G"] for row in _characterized(record, PEGDA)]
-    rises = all(b[2] >= a[0] for a, b in itertools.pairwise(found)) and found[-1][0] > found[0][2]
+    rises = (
+        all(b[2] >= a[0] for a, b in itertools.pairwise(found))
+        and found[-1][0] > found[0][2]
+    )
     return _in_words(found, " kPa", 1e-3), rises
 
 
@@ -176,14 +194,18 @@ def check_share(record: Record) -> Answer:
     """Shares of the gap on unseen curves that go with what was selected, and by chance; no set may
     be called closed within what random effects close.
     """
-    judged = [x for row in _diagnosed(record, "shrinkage") if (x := row["shrinkage"])["share"]]
+    judged = [
+        x for row in _diagnosed(record, "shrinkage") if (x := row["shrinkage"])["share"]
+    ]
     if not judged:
         raise LookupError
     share = median(x["share"][1] for x in judged)
     chance = median(x["placebo_95"] for x in judged)
     closed = [x for x in judged if x["word"] == "closed"]
     sure = all(x["share"][0] > x["placebo_95"] for x in closed)
-    value = f"{share:.2f}, random libraries {chance:.2f} (95 %), {len(closed)} called closed"
+    value = (
+        f"{share:.2f}, random libraries {chance:.2f} (95 %), {len(closed)} called closed"
+    )
     return f"{value}, {len(judged)} sets", sure and share >= 0.75 and chance < 0.2
 
 
@@ -208,8 +230,9 @@ def check_strengths(record: Record) -> Answer:
     rows = [list(row["strengths"].values()) for row in _diagnosed(record, "strengths")]
     plausible = sum(max(map(abs, row)) <= 3.0 for row in rows)
     farthest = max(abs(x) for row in rows for x in row)
-    return f"{plausible} of {len(rows)} sets, farthest {farthest:.1f}", plausible >= 0.92 * len(
-        rows
+    return (
+        f"{plausible} of {len(rows)} sets, farthest {farthest:.1f}",
+        plausible >= 0.92 * len(rows),
     )
 
 
@@ -237,7 +260,9 @@ CHECKS: dict[str, Callable[[Record], Answer]] = {
     "liquids": check_liquids,
     "viscosities": check_viscosities,
     "independent_viscosities": check_independent_viscosities,
-    "elasticity": _check_causes(LIQUIDS, lambda found: not any(ELASTIC & own for own in found)),
+    "elasticity": _check_causes(
+        LIQUIDS, lambda found: not any(ELASTIC & own for own in found)
+    ),
     "water": _check_causes(WATER, lambda found: not any(found)),
     "gel03": _check_drives("gel03"),
     "gel25": _check_drives("gel25"),

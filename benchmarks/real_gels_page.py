@@ -35,14 +35,18 @@ of its own, no date.
 def write_page(rows: list[Line], path: Path, figures: Path) -> None:
     """Write the page, and the figures into a folder of their own."""
     record: Record = {(row["set"], row["task"]): row for row in rows}
-    sets = [_read_set(record, name) for name in KNOWN["sets"] if (name, "diagnose") in record]
+    sets = [
+        _read_set(record, name) for name in KNOWN["sets"] if (name, "diagnose") in record
+    ]
     figures.mkdir(parents=True, exist_ok=True)
     for own in sets:
         with plt.rc_context(STYLE | {"svg.hashsalt": own["name"]}):
             _draw_set(own).savefig(figures / f"{own['name']}.svg", metadata={"Date": None})
         plt.close()
     words = Path(__file__).with_name("real_gels.md.jinja").read_text(encoding="utf-8")
-    page = Template(words, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True).render(
+    page = Template(
+        words, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    ).render(
         sets=sets,
         folder=Path(os.path.relpath(figures, path.parent)).as_posix(),
         controls=write_table(("control", "must", "found", "met"), controls(record)),
@@ -66,7 +70,9 @@ def _read_set(record: Record, name: str) -> dict[str, Any]:
     return KNOWN["sets"][name] | {
         "name": name,
         "row": row,
-        "intervals": {x: {key: own[x] for key, own in triples.items() if own} for x in QUANTITIES},
+        "intervals": {
+            x: {key: own[x] for key, own in triples.items() if own} for x in QUANTITIES
+        },
         "independent": {x: find_independent(name, x) for x in QUANTITIES},
     }
 
@@ -83,7 +89,9 @@ def _draw_set(own: dict[str, Any]) -> Figure:
             if x["ends"]:
                 low, high = x["ends"]
                 color = SECOND if x["fit"] else TRUTH
-                bars.append((x["reading"] or "independent", (low, sqrt(low * high), high), color))
+                bars.append(
+                    (x["reading"] or "independent", (low, sqrt(low * high), high), color)
+                )
         panels[f"{quantity} ({unit})"] = scale, bars
     left = own["row"].get("left") or {}
     panels["left on unseen curves (standard deviations)"] = (

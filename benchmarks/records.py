@@ -58,7 +58,9 @@ def hash_code(*rooms: str) -> str:
     """
     root = Path(imr_torch.__file__).parent
     patterns = [pattern for room in rooms for pattern in (f"{room}/**/*.py", f"{room}.py")]
-    paths = sorted(path for pattern in patterns or ["**/*.py"] for path in root.glob(pattern))
+    paths = sorted(
+        path for pattern in patterns or ["**/*.py"] for path in root.glob(pattern)
+    )
     trees = (_without_docstrings(path.read_text(encoding="utf-8")) for path in paths)
     return hashlib.sha256("\n".join(trees).encode()).hexdigest()[:12]
 
@@ -132,7 +134,9 @@ def _run_jobs(jobs: Mapping[str, Job], workers: int) -> Iterable[Line]:
         yield from (run_job(key, job) for key, job in jobs.items())
         return
     with process_pool(workers) as pool:
-        for future in as_completed([pool.submit(run_job, key, job) for key, job in jobs.items()]):
+        for future in as_completed(
+            [pool.submit(run_job, key, job) for key, job in jobs.items()]
+        ):
             yield future.result()
 
 
@@ -142,7 +146,10 @@ def run_job(key: str, job: Job) -> Line:
     line: Line = {"key": key, "code": hash_code(*DECIDING)}
     try:
         return line | job()
-    except (ImrError, RuntimeError) as error:  # torch reports a singular matrix as the latter
+    except (
+        ImrError,
+        RuntimeError,
+    ) as error:  # torch reports a singular matrix as the latter
         return line | {"error": in_one_line(error)}
 
 
@@ -216,15 +223,24 @@ def write_figures(figures: Iterable[Figure]) -> str:
     """Figures as a Markdown table."""
     rows = []
     for figure in figures:
-        must = "" if figure.must is None else f"{figure.must[0]:.3g} to {figure.must[1]:.3g}"
-        interval = "" if math.isnan(figure.low) else f"{figure.low:.3f} to {figure.high:.3f}"
-        rows.append((figure.name, f"{figure.value:.3f}", figure.count, interval, must, figure.met))
+        must = (
+            "" if figure.must is None else f"{figure.must[0]:.3g} to {figure.must[1]:.3g}"
+        )
+        interval = (
+            "" if math.isnan(figure.low) else f"{figure.low:.3f} to {figure.high:.3f}"
+        )
+        rows.append(
+            (figure.name, f"{figure.value:.3f}", figure.count, interval, must, figure.met)
+        )
     return write_table(("figure", "value", "sets", "90 % interval", "must", ""), rows)
 
 
 def write_table(head: Sequence[object], rows: Iterable[Sequence[object]]) -> str:
     """A Markdown table."""
-    cells = [[f"{x:.4g}" if isinstance(x, float) else str(x) for x in row] for row in (head, *rows)]
+    cells = [
+        [f"{x:.4g}" if isinstance(x, float) else str(x) for x in row]
+        for row in (head, *rows)
+    ]
     first, *others = (f"| {' | '.join(row)} |" for row in cells)
     return "\n".join((first, "|" + "---|" * len(head), *others))
 

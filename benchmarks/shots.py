@@ -150,9 +150,15 @@ def write_shots(lines: list[Line], predicted: Line, gels: list[Line]) -> str:
     low, high = (read_count(predicted["chosen"][i]) for i in (0, 6))
     figures = [
         Figure.of_quantile("predicted for the gel over needed, median", ratios, 0.5),
-        Figure.of_share("ratio within .8 to 1.25", [0.8 <= ratio <= 1.25 for ratio in ratios]),
-        Figure.of_share("one shot off at most", [p == n or abs(p - n) <= 1 for p, n in pairs]),
-        Figure.of_share("needed within the predicted 90 %", [low <= n <= high for n in needed]),
+        Figure.of_share(
+            "ratio within .8 to 1.25", [0.8 <= ratio <= 1.25 for ratio in ratios]
+        ),
+        Figure.of_share(
+            "one shot off at most", [p == n or abs(p - n) <= 1 for p, n in pairs]
+        ),
+        Figure.of_share(
+            "needed within the predicted 90 %", [low <= n <= high for n in needed]
+        ),
     ]
     names = ("shots", "10 %", "median", "90 %", f"reached in {MOST}")
     return f"{write_table(names, rows)}\n\n{write_figures(figures)}"
@@ -167,7 +173,9 @@ def main() -> None:
     args = parser.parse_args()
     name = args.setting
     jobs = {f"{name}/predicted": partial(predict_shots, name)}
-    jobs |= {f"{name}/{seed}": partial(count_shots, name, seed) for seed in range(args.seeds)}
+    jobs |= {
+        f"{name}/{seed}": partial(count_shots, name, seed) for seed in range(args.seeds)
+    }
     predicted, *lines = run_missing_jobs(args.out, jobs, workers=args.workers)
     designs = tensor(predicted["designs"])
     done = [seed for seed, line in enumerate(lines) if "error" not in line]

@@ -75,7 +75,9 @@ def simulate(simulator: Simulator, count: int, device: str, seed: int = 0) -> to
     return simulator(parameters, designs, TIMES.to(device)).radius
 
 
-def milliseconds(simulator: Simulator, count: int, repeats: int, device: str = "cpu") -> float:
+def milliseconds(
+    simulator: Simulator, count: int, repeats: int, device: str = "cpu"
+) -> float:
     """Median milliseconds a bubble in batches of ``count``.
 
     New bubbles in each.
@@ -123,7 +125,10 @@ def compile_seconds() -> float:
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         command = [sys.executable, "-m", "imr_torch.simulate.compiled"]
         subprocess.run(
-            command, env=os.environ | {"IMR_TORCH_CACHE": folder}, check=True, capture_output=True
+            command,
+            env=os.environ | {"IMR_TORCH_CACHE": folder},
+            check=True,
+            capture_output=True,
         )
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
@@ -167,7 +172,9 @@ def main() -> None:
     args = parser.parse_args()
     torch.set_num_threads(1)
     on_processor = args.device == "cpu"
-    result = measure_processor(args.repeats) if on_processor else measure_device(args.device)
+    result = (
+        measure_processor(args.repeats) if on_processor else measure_device(args.device)
+    )
     print(json.dumps(result, indent=1))
 
 
@@ -175,7 +182,9 @@ def measure_processor(repeats: int) -> dict[str, float]:
     """Everything of the compiled engine, and of what it is compared with."""
     full = TransportSimulator(threads=1)
     polytropic = PolytropicSimulator(threads=1)
-    finer = replace(STEPPINGS["default"], step=STEPPINGS["default"].step / 3.0, max_steps=10**6)
+    finer = replace(
+        STEPPINGS["default"], step=STEPPINGS["default"].step / 3.0, max_steps=10**6
+    )
     sharp = TransportSimulator(accuracy=ACCURACIES["reference"])
     result = {"compile_s": compile_seconds()}
     for name, simulator, reference, counts in (

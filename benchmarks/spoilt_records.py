@@ -43,7 +43,9 @@ FRAMES = {
     "threshold": {"threshold": 0.0005},
     "all": {"jitter": 0.15, "exposure": 0.2, "threshold": 0.0005},
 }
-FITS = PolytropicSimulator(Conditions(gas=PolytropicGas(exponent=1.4, reference="rest")), threads=1)
+FITS = PolytropicSimulator(
+    Conditions(gas=PolytropicGas(exponent=1.4, reference="rest")), threads=1
+)
 BAD = 3
 """Which shot is the bad one."""
 
@@ -176,7 +178,9 @@ def write_page(lines: list[Line]) -> str:
             held = [line["held"][name] for line in fits]
             figures.append(Figure.of_share(f"{kind}: holds {name}", held, (0.85, 0.95)))
             errors = [abs(line["error"][name]) for line in fits]
-            figures.append(Figure.of_quantile(f"{kind}: error of ln {name}, median", errors, 0.5))
+            figures.append(
+                Figure.of_quantile(f"{kind}: error of ln {name}, median", errors, 0.5)
+            )
         low = [line["p_fit"] < 0.05 for line in fits if line["p_fit"] is not None]
         figures.append(Figure.of_share(f"{kind}: p below .05", low, (0.0, 0.05)))
     return write_figures(figure for figure in figures if figure.count)

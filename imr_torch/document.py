@@ -108,12 +108,18 @@ def is_explained(document: Document, where: str = "") -> bool | None:
     explained = said.get("explained") if isinstance(said, dict) else "none of these"
     if explained is None or isinstance(explained, bool):
         return explained
-    raise InputDataError(f"{where}'fit_test' is {said!r}; the result is not whole, make it anew.")
+    raise InputDataError(
+        f"{where}'fit_test' is {said!r}; the result is not whole, make it anew."
+    )
 
 
 def _describe_file(path: Path) -> Document:
     content = path.read_bytes()
-    return {"name": path.name, "bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
+    return {
+        "name": path.name,
+        "bytes": len(content),
+        "sha256": hashlib.sha256(content).hexdigest(),
+    }
 
 
 def read_document(path: str | Path) -> Document:
@@ -152,7 +158,9 @@ def check_document(document: Any, source: str = "The document") -> None:
     The document: schema version is 99; this software reads 1. Install a newer imr-torch.
     """
     schema = document.get("schema") if isinstance(document, Mapping) else None
-    if not isinstance(schema, Mapping) or not str(schema.get("name", "")).startswith("imr_torch "):
+    if not isinstance(schema, Mapping) or not str(schema.get("name", "")).startswith(
+        "imr_torch "
+    ):
         raise InputDataError(
             f"{source}: has no 'schema' of imr_torch, so it is no result that can be drawn; make "
             "it anew with --json."

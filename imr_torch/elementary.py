@@ -133,7 +133,9 @@ def kernel(
     whole = "always" if inline == "source" else "never"
     forced = inline == "machine"
     wrappers = {} if cache else _NO_WRAPPERS
-    return njit(cache=cache, inline=whole, forceinline=forced, **wrappers, **_OPTIONS)(function)
+    return njit(cache=cache, inline=whole, forceinline=forced, **wrappers, **_OPTIONS)(
+        function
+    )
 
 
 def compile_pointer(function: Law, signature: Any) -> Any:
@@ -213,7 +215,9 @@ def _code_of(function: Law, seen: set[Law]) -> Iterator[bytes]:
     code = function.__code__
     constants = [c for c in code.co_consts if c != function.__doc__]
     defaults = (function.__defaults__, function.__kwdefaults__)
-    yield repr((function.__qualname__, code.co_code, code.co_names, constants, defaults)).encode()
+    yield repr(
+        (function.__qualname__, code.co_code, code.co_names, constants, defaults)
+    ).encode()
     for name, value in inspect.getclosurevars(function).globals.items():
         if isinstance(value, types.FunctionType) or hasattr(value, "py_func"):
             yield from _code_of(value, seen)

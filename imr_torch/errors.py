@@ -109,7 +109,9 @@ def check_fields(
     for name in names or vars(of):
         value = getattr(of, name)
         if not (optional and value is None) and not fits(value):
-            raise InputDataError(f"{type(of).__name__}.{name} is {value}; expected {expected}.")
+            raise InputDataError(
+                f"{type(of).__name__}.{name} is {value}; expected {expected}."
+            )
 
 
 def check_at_least(of: object, least: int, *names: str, note: str = "") -> None:

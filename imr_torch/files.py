@@ -38,7 +38,9 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     """
     path = Path(path).resolve()  # a link stays one
     path.parent.mkdir(parents=True, exist_ok=True)
-    if path.exists() and not path.is_file():  # a device or a pipe is written to, not replaced
+    if (
+        path.exists() and not path.is_file()
+    ):  # a device or a pipe is written to, not replaced
         with open(path, "wb") as stream:
             write(stream)
         return
@@ -56,7 +58,9 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     except BaseException as error:
         Path(temporary).unlink(missing_ok=True)
         if (
-            isinstance(error, OSError) and error.errno is not None and error.filename is None
+            isinstance(error, OSError)
+            and error.errno is not None
+            and error.filename is None
         ):  # such as a full disk
             raise OSError(error.errno, error.strerror, str(path)) from error
         raise
@@ -119,7 +123,9 @@ def _check_place(target: Path, option: str, folder: bool) -> None:
             f"{option} is {str(target)!r}, which is {'a file' if folder else 'a folder'}; give "
             "another name."
         )
-    nearest = next(place for place in (target, *target.absolute().parents) if place.exists())
+    nearest = next(
+        place for place in (target, *target.absolute().parents) if place.exists()
+    )
     if nearest != target and not nearest.is_dir():
         raise InputDataError(
             f"{option} is {str(target)!r}, and {str(nearest)!r} is no folder; give another name."
@@ -199,11 +205,13 @@ def without_nonfinite(document: Any) -> tuple[Any, list[str]]:
     def replace_nonfinite(value: Any, place: tuple[str, ...]) -> Any:
         if isinstance(value, Mapping):
             return {
-                name: replace_nonfinite(own, (*place, str(name))) for name, own in value.items()
+                name: replace_nonfinite(own, (*place, str(name)))
+                for name, own in value.items()
             }
         if isinstance(value, (list, tuple)):
             return [
-                replace_nonfinite(own, (*place, str(number))) for number, own in enumerate(value)
+                replace_nonfinite(own, (*place, str(number)))
+                for number, own in enumerate(value)
             ]
         if isinstance(value, float) and not math.isfinite(value):
             places.append(".".join(place))
@@ -248,7 +256,9 @@ def read_json(path: str | Path, *, expected: str = "expected JSON") -> Any:
     {'G': 5000.0}
     """
     try:
-        return json.loads(Path(path).read_text(encoding="utf-8-sig"), object_pairs_hook=_read_once)
+        return json.loads(
+            Path(path).read_text(encoding="utf-8-sig"), object_pairs_hook=_read_once
+        )
     except FileNotFoundError:
         raise InputDataError(
             f"{path}: no such file; {expected}: check the name and the folder."

@@ -75,6 +75,10 @@ def within(
         line = text if isinstance(text, ProgressLine) else ProgressLine(text)
         part = None if line.part is None else first + (last - first) * line.part
         step = ", ".join(filter(None, (name, line.step)))
-        progress(ProgressLine(line, stage=line.stage, step=step, part=part, size=size * line.size))
+        progress(
+            ProgressLine(
+                line, stage=line.stage, step=step, part=part, size=size * line.size
+            )
+        )
 
     return report_part

@@ -200,7 +200,9 @@ def probability_errors(prior: Belief, evidence: Sequence[Evidence]) -> dict[str,
     after = torch.softmax(prior.log_probabilities + values[:, 0], dim=0)
     slopes = after[:, None] * (eye(len(after)) - after)
     errors = (slopes.square() @ values[:, 1].square()).sqrt()
-    errors = errors.minimum(after.maximum(1.0 - after))  # a probability cannot be farther off
+    errors = errors.minimum(
+        after.maximum(1.0 - after)
+    )  # a probability cannot be farther off
     return dict(zip(prior.keys, errors.tolist(), strict=True))
 
 
@@ -251,7 +253,9 @@ class Identifiability:
         """A phrase such as ``"only bounded from above: below 0.07 (95 %); ..."``."""
         if self.limit is None:
             return self.bound.value
-        value = f"{self.parameter.display_scale * self.limit:.3g} {self.parameter.shown_unit}"
+        value = (
+            f"{self.parameter.display_scale * self.limit:.3g} {self.parameter.shown_unit}"
+        )
         side = "below" if self.bound is Bound.ABOVE else "above"
         return f"{self.bound.value}: {side} {value.rstrip()} (95 %); the other end is the prior's"
 
@@ -282,10 +286,14 @@ def identifiability(
     mean = (posterior.mean - prior.mean) / sds
     variance = after.diagonal() / sds.square()
     precision = (1.0 / variance - 1.0).clamp_min(0.0)  # of the likelihood
-    centre = torch.where(precision > 0.0, mean / (variance * precision.clamp_min(1e-300)), 0.0)
+    centre = torch.where(
+        precision > 0.0, mean / (variance * precision.clamp_min(1e-300)), 0.0
+    )
     inside = centre.clamp(-end, end)  # where the likelihood is largest within the prior
     largest = 0.5 * precision * (inside - centre).square()
-    falls = [0.5 * precision * (side - centre).square() - largest > FALL for side in (-end, end)]
+    falls = [
+        0.5 * precision * (side - centre).square() - largest > FALL for side in (-end, end)
+    ]
     kinds = {
         (True, True): Bound.BOTH,
         (True, False): Bound.BELOW,

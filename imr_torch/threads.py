@@ -64,7 +64,11 @@ def cores() -> int:
     >>> cores() >= 1
     True
     """
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return (
+        len(os.sched_getaffinity(0))
+        if hasattr(os, "sched_getaffinity")
+        else os.cpu_count() or 1
+    )
 
 
 def process_pool(workers: int, modules: Sequence[str] = ()) -> ProcessPoolExecutor:

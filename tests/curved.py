@@ -58,7 +58,9 @@ def quadrature(
     """
     axis = linspace(-6.0, 6.0, points)
     controls = torch.cartesian_prod(axis, axis)
-    likelihood = batch.log_likelihood(predict(simulator, fit.parameters(controls), batch)).sum(-1)
+    likelihood = batch.log_likelihood(
+        predict(simulator, fit.parameters(controls), batch)
+    ).sum(-1)
     logs = likelihood - 0.5 * controls.square().sum(-1) - math.log(2.0 * math.pi)
     weights = torch.softmax(logs, dim=0)
     mean = weights @ controls

@@ -79,7 +79,9 @@ register(  # two springs beside a dashpot
 # that fades, with its own shape
 
 PARAMETERS.register(
-    Parameter("surge", "far-field pressure that fades, over p_inf", "1", "none", -0.5, 0.5, 0.0)
+    Parameter(
+        "surge", "far-field pressure that fades, over p_inf", "1", "none", -0.5, 0.5, 0.0
+    )
 )
 
 
@@ -121,7 +123,9 @@ def explain(simulator: PolytropicSimulator, times: torch.Tensor, **truth: float)
     """Print what a diagnosis says of a gel with an effect."""
     gel = PARAMETERS.pack({"G": 5000.0, "mu": 0.1, **truth})
     laboratory = SimulatedLaboratory(simulator, gel, repeats=20, times=times)
-    designs = torch.tensor([[300.0, 0.2], [700.0, 0.16], [500.0, 0.25]], dtype=torch.float64)
+    designs = torch.tensor(
+        [[300.0, 0.2], [700.0, 0.16], [500.0, 0.25]], dtype=torch.float64
+    )
     shots = [laboratory.shoot(each, seed=i) for i, each in enumerate(designs)]
     rivals = library(("surge", "creep", "far_field_pressure", "sound_speed", "gas_loss"))
     report = diagnose(shots, effects=rivals, noise=laboratory.noise, simulator=simulator)

@@ -81,7 +81,9 @@ class LinearSimulator(FormulaSimulator):
         which = parameters.detach().ne(0.0).any(0).nonzero()[:, 0]
         different, place = weber.detach().unique(return_inverse=True)
         if weber.requires_grad or len(weber) < _MANY or len(different) > 8:
-            return (self._columns(frames, weber, which) @ parameters[:, which, None])[..., 0]
+            return (self._columns(frames, weber, which) @ parameters[:, which, None])[
+                ..., 0
+            ]
         gel = torch.empty(len(parameters), frames, dtype=torch.float64)
         for number, own in enumerate(self._columns(frames, different, which)):
             rows = place == number
@@ -105,7 +107,10 @@ def prior(models: tuple[str, ...] = MODELS, *, correlated: bool = False) -> Beli
     ``correlated`` gives the controls a Gaussian that is not the standard one.
     """
     belief = Belief.prior(
-        {m: {n: TruncatedNormal(MEANS[n], SDS[n]) for n in material(m).free} for m in models}
+        {
+            m: {n: TruncatedNormal(MEANS[n], SDS[n]) for n in material(m).free}
+            for m in models
+        }
     )
     if not correlated:
         return belief
@@ -209,7 +214,9 @@ def exact(
         )
         nuisance = zeros(frames, 3 * count)
         nuisance[:, 3 * e + 1] = simulator.time_slope * shot.nuisance.time_zero
-        nuisance[:, 3 * e + 2] = simulator.rest_slope * shot.design[1] * shot.nuisance.rest_radius
+        nuisance[:, 3 * e + 2] = (
+            simulator.rest_slope * shot.design[1] * shot.nuisance.rest_radius
+        )
         covariance = (batch.noise.scale * batch.noise.floor) ** 2 * correlation(
             shot.times, batch.noise.correlation_time
         )

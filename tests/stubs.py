@@ -22,7 +22,11 @@ class StubLearner:
     fails_above: float = 10.0
 
     def infer_belief(
-        self, observations: Observations, simulator: Simulator, *, progress: Progress | None = None
+        self,
+        observations: Observations,
+        simulator: Simulator,
+        *,
+        progress: Progress | None = None,
     ) -> Inference:
         batch = observations.batch
         parts = []

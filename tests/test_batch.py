@@ -99,13 +99,17 @@ def test_that_every_file_has_a_result_or_a_reason(shots, tmp_path):
     for row, truth in zip(summary.rows[1:], (4e3, 8e3, 1.6e4), strict=True):
         assert row["G_low"] < truth < row["G_high"]
         assert row["We"] == pytest.approx(200.0, rel=0.01)
-        saved = SavedCharacterization.load(tmp_path / "out" / "shots" / f"{row['shot']}.json")
+        saved = SavedCharacterization.load(
+            tmp_path / "out" / "shots" / f"{row['shot']}.json"
+        )
         assert saved.intervals()["G"] == [row["G_low"], row["G"], row["G_high"]]
         assert saved.draws().weighted
     with (tmp_path / "out" / "summary.csv").open() as stream:
         read = list(csv.DictReader(stream))
     assert [float(row["G"]) for row in read[1:]] == [row["G"] for row in summary.rows[1:]]
-    assert summary.report().splitlines()[0] == "4 shot(s): 3 done, 0 not converged, 1 failed"
+    assert (
+        summary.report().splitlines()[0] == "4 shot(s): 3 done, 0 not converged, 1 failed"
+    )
 
 
 def test_that_a_result_reopens_with_its_posterior_its_draws_and_its_table(shots, tmp_path):
@@ -210,7 +214,9 @@ def test_that_any_executor_gives_the_same_results(shots, tmp_path):
 
 def test_that_a_worker_that_dies_costs_its_own_shot_alone(shots, tmp_path, monkeypatch):
     monkeypatch.setattr(batch, "characterize_shot", fatal)
-    summary = run_shots(shots, folder=tmp_path / "out", executor=partial(process_pool, 1), window=2)
+    summary = run_shots(
+        shots, folder=tmp_path / "out", executor=partial(process_pool, 1), window=2
+    )
     errors = {row["shot"]: row["error"] for row in summary.rows}
     assert errors["gel_0"] == "gel_0 was here"
     assert errors["gel_2"] == "gel_2 was here"
@@ -287,7 +293,9 @@ ROWS = (
 
 def test_that_the_page_has_a_line_a_shot_and_a_plot_a_parameter():
     text = document_page(header("batch") | BatchSummary(ROWS).to_dict())
-    assert text.partition("<details>")[0].count("<tr") == 4  # two tables of a head and a row
+    assert (
+        text.partition("<details>")[0].count("<tr") == 4
+    )  # two tables of a head and a row
     assert text.count("data:image/png;base64,") == 2
     assert "a&lt;b" in text
     assert "no &lt;bubble&gt;" in text
@@ -326,7 +334,9 @@ COMMAND = [
 ]
 
 
-def test_that_the_command_writes_all_and_tells_of_failures(shots, tmp_path, capsys, said_by):
+def test_that_the_command_writes_all_and_tells_of_failures(
+    shots, tmp_path, capsys, said_by
+):
     out = tmp_path / "out"
     command = [*f"batch {shots} --out {out} --workers 1".split(), *COMMAND]
     command += ["--medium", "density=1060"]
@@ -334,7 +344,8 @@ def test_that_the_command_writes_all_and_tells_of_failures(shots, tmp_path, caps
     captured = capsys.readouterr()
     assert "4 shot(s): 3 done, 0 not converged, 1 failed" in captured.out
     assert (
-        "1 of 4 shots have no result, for the reasons above; the others are written" in captured.err
+        "1 of 4 shots have no result, for the reasons above; the others are written"
+        in captured.err
     )
     figures = {f"shots_{name}.{kind}" for name in ("G", "mu") for kind in ("png", "pdf")}
     tables = {path.name for path in out.glob("summary.xlsx")}
@@ -356,7 +367,9 @@ def test_that_the_command_writes_all_and_tells_of_failures(shots, tmp_path, caps
     assert found["parameters"][0]["ratio_median"] == pytest.approx(0.25, rel=0.1)
 
 
-def test_that_a_scheduler_that_does_not_answer_is_named(shots, tmp_path, said_by, monkeypatch):
+def test_that_a_scheduler_that_does_not_answer_is_named(
+    shots, tmp_path, said_by, monkeypatch
+):
     pytest.importorskip("distributed")
     monkeypatch.setattr("imr_torch.cli.batch.ANSWER_WITHIN", 1)
     assert "--cluster: no scheduler answers at 'tcp://127.0.0.1:9'" in said_by(
@@ -387,7 +400,12 @@ def test_that_no_more_shots_than_the_window_are_in_hand(shots, tmp_path, calls):
 
 def test_that_the_workers_of_a_dask_cluster_do_it(shots, tmp_path, capsys):
     distributed = pytest.importorskip("distributed")
-    place = {"n_workers": 1, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
+    place = {
+        "n_workers": 1,
+        "threads_per_worker": 1,
+        "processes": False,
+        "dashboard_address": None,
+    }
     with distributed.LocalCluster(protocol="tcp://", host="127.0.0.1", **place) as cluster:
         arguments = [
             *f"batch {shots} --out {tmp_path}/out --cluster".split(),

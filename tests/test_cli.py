@@ -33,7 +33,8 @@ def test_help_teaches_with_an_example(command, capsys):
         main([command, "--help"])
     assert stop.value.code == 0
     assert (
-        f"imr-torch {command} " in capsys.readouterr().out.split("options:")[0].split("\n\n", 1)[1]
+        f"imr-torch {command} "
+        in capsys.readouterr().out.split("options:")[0].split("\n\n", 1)[1]
     )
 
 
@@ -41,7 +42,11 @@ def test_that_a_result_says_with_which_equation_and_liquid_it_was_made(tmp_path,
     out = tmp_path / "bubble.json"
     bubble = f"simulate --set G=8310,mu=0.093 --physics polytropic --frames 41 --json {out}".split()
     ends = {}
-    for motion in ((), ("--radial", "gilmore"), ("--radial", "gilmore", "--liquid", "noble_abel")):
+    for motion in (
+        (),
+        ("--radial", "gilmore"),
+        ("--radial", "gilmore", "--liquid", "noble_abel"),
+    ):
         assert main([*bubble, *motion]) == 0
         made = read_json(out)
         ends[made["radial"], made["liquid"]] = made["R_star"][-1]
@@ -65,7 +70,10 @@ def test_that_an_ill_conditioned_bubble_says_so(monkeypatch, said_by):
 def test_simulate_writes_the_curve_and_a_figure(rendered, tmp_path, capsys):
     out = tmp_path / "bubble"
     gel = ["--set", "G=8310,mu=0.093"]
-    assert main(["simulate", *gel, *f"--we 300 --rinf 0.2 --out {out} --frames 41".split()]) == 0
+    assert (
+        main(["simulate", *gel, *f"--we 300 --rinf 0.2 --out {out} --frames 41".split()])
+        == 0
+    )
     result = read_json(out / "simulate.json")
     assert len(result["R_star"]) == len(result["time_s"]) == 41
     assert result["R_star"][0] == 1.0
@@ -75,13 +83,19 @@ def test_simulate_writes_the_curve_and_a_figure(rendered, tmp_path, capsys):
     assert "NHKV, Rmax 331.6 um" in capsys.readouterr().out
 
 
-def test_that_the_demo_finds_its_gel_and_prints_what_the_pages_say(tmp_path, monkeypatch, capsys):
+def test_that_the_demo_finds_its_gel_and_prints_what_the_pages_say(
+    tmp_path, monkeypatch, capsys
+):
     """Its first command with one of the two models, which leaves the fit of that model as it is."""
     asked = []
 
     def run_first(command: list[str]) -> int:
         asked.append(command)
-        return 0 if command[0] == "campaign" else main([x.split(",gen_qkv")[0] for x in command])
+        return (
+            0
+            if command[0] == "campaign"
+            else main([x.split(",gen_qkv")[0] for x in command])
+        )
 
     monkeypatch.setattr("imr_torch.cli.main", run_first)
     assert main(f"demo --out {tmp_path}/demo --quiet".split()) == 0
@@ -99,18 +113,28 @@ def test_that_the_demo_finds_its_gel_and_prints_what_the_pages_say(tmp_path, mon
     names |= {f"curve_{shot}" for shot in shots}
     assert {path.stem for path in out.glob("*.png")} == names
     assert {path.stem for path in out.glob("*.pdf")} == names
-    said = re.findall(r"^Fit: .*", (out / "report.txt").read_text(), re.DOTALL | re.MULTILINE)[0]
+    said = re.findall(
+        r"^Fit: .*", (out / "report.txt").read_text(), re.DOTALL | re.MULTILINE
+    )[0]
     head, found, _ = capsys.readouterr().out.partition(said)
     assert found
     assert head.count("Curves as they are fitted") == 1
     for page in (ROOT / "README.md", ROOT / "docs" / "start" / "index.md"):
         written = re.findall(r"```text\n(Fit: .*?)```", page.read_text(), re.DOTALL)[0]
         written = re.sub(r"probability [\d.]+ \+- [\d.]+", "the only candidate", written)
-        for number, lines in enumerate(zip(written.splitlines(), said.splitlines(), strict=False)):
-            text, printed = (re.split(r"(-?\d+(?:\.\d+)?(?:e[-+]\d+)?)", line) for line in lines)
+        for number, lines in enumerate(
+            zip(written.splitlines(), said.splitlines(), strict=False)
+        ):
+            text, printed = (
+                re.split(r"(-?\d+(?:\.\d+)?(?:e[-+]\d+)?)", line) for line in lines
+            )
             assert text[::2] == printed[::2]
-            if number < 5:  # below are those of the computation, which differ between machines
-                figures, found = ([float(x) for x in parts[1::2]] for parts in (text, printed))
+            if (
+                number < 5
+            ):  # below are those of the computation, which differ between machines
+                figures, found = (
+                    [float(x) for x in parts[1::2]] for parts in (text, printed)
+                )
                 assert figures == pytest.approx(found, rel=0.002, abs=0.1 * (number == 0))
 
 
@@ -139,7 +163,10 @@ def test_design_says_how_many_shots_a_target_needs_and_which(rendered, tmp_path,
     out = tmp_path / "shots"
     page = tmp_path / "shots.html"
     options = "--evaluations 2 --draws 2 --shots 4 --until G:300%,mu:20%"
-    assert main(f"design --models nhkv {options} --out {out} --html {page}".split() + QUICK) == 0
+    assert (
+        main(f"design --models nhkv {options} --out {out} --html {page}".split() + QUICK)
+        == 0
+    )
     forecast = read_json(out / "design.json")["forecast"]
     assert [row["what"] for row in forecast["rows"]][:2] == [
         "one design repeated",
@@ -156,7 +183,9 @@ def test_design_says_how_many_shots_a_target_needs_and_which(rendered, tmp_path,
 @pytest.fixture(scope="module")
 def simulated(tmp_path_factory):
     out = tmp_path_factory.mktemp("cli") / "demo"
-    arguments = f"campaign --case soft-pa --designs 1 --evaluations 4 --out {out}".split() + QUICK
+    arguments = (
+        f"campaign --case soft-pa --designs 1 --evaluations 4 --out {out}".split() + QUICK
+    )
     assert main(arguments) == 0
     return arguments, out
 
@@ -182,10 +211,18 @@ def test_that_the_page_and_the_figures_of_a_campaign_come_from_its_json_alone(
     document = read_json(simulated[1] / "campaign.json")
     assert [curve["number"] for curve in document["curves"]] == [1]
     names = {figure.name for figure in draw_figures(document)}
-    assert names == {"models", "parameter_G", "parameter_mu", "information_001", "curve_001"}
+    assert names == {
+        "models",
+        "parameter_G",
+        "parameter_mu",
+        "information_001",
+        "curve_001",
+    }
     copy = tmp_path / "campaign.json"
     copy.write_text(json.dumps(document))
-    assert main(f"plot {copy} --format png --html {tmp_path}/page.html --quiet".split()) == 0
+    assert (
+        main(f"plot {copy} --format png --html {tmp_path}/page.html --quiet".split()) == 0
+    )
     assert {path.stem for path in tmp_path.glob("*.png")} == names
     page = (tmp_path / "page.html").read_text()
     assert re.search(r"After 1 experiment\(s\) NHKV, (probability|the only)", page)
@@ -216,7 +253,9 @@ def test_campaign_shoots_without_a_search_and_stops_when_enough_is_known(tmp_pat
     out = tmp_path / "unsearched"
     shots = "--designs 3 --policy random --we-range 299:301 --rinf-range 0.199:0.201"
     arguments = f"campaign --case soft-pa {shots} --out {out}".split() + QUICK
-    assert main([*arguments, "--stop", "sd=.01,probability=.99", "--stop", "designs=2"]) == 0
+    assert (
+        main([*arguments, "--stop", "sd=.01,probability=.99", "--stop", "designs=2"]) == 0
+    )
     result = read_json(out / "campaign.json")
     ((weber, rest),) = result["designs"]
     assert (weber, rest) == (pytest.approx(300.0, abs=1.0), pytest.approx(0.2, abs=0.001))
@@ -236,7 +275,9 @@ def test_a_real_campaign_asks_learns_from_told_files_and_asks_again(tmp_path, sa
     assert "Shoot next: We = " in second
     result = read_json(out / "campaign.json")
     assert len(result["designs"]) == 1
-    assert result["noise"]["scale"] * result["noise"]["floor"] == pytest.approx(0.003, rel=0.4)
+    assert result["noise"]["scale"] * result["noise"]["floor"] == pytest.approx(
+        0.003, rel=0.4
+    )
     assert "x the published law" in second
     assert "converged (gradient" in second
     assert "Simulated" not in second
@@ -278,7 +319,9 @@ def test_that_resume_learns_what_a_killed_tell_did_not(told_once, tmp_path, said
     assert belief_of(out) == belief_of(whole)
 
 
-def test_that_a_campaign_is_resumed_without_naming_its_models_again(told_once, tmp_path, said_by):
+def test_that_a_campaign_is_resumed_without_naming_its_models_again(
+    told_once, tmp_path, said_by
+):
     whole, _ = told_once
     out = tmp_path / "gel"
     shutil.copytree(whole, out)
@@ -289,7 +332,9 @@ def test_that_a_campaign_is_resumed_without_naming_its_models_again(told_once, t
     assert re.search(r"^  G \d.* kPa \(90 %:", said, re.MULTILINE)
 
 
-def test_that_a_campaign_for_a_cause_is_resumed_without_naming_its_goal_again(tmp_path, said_by):
+def test_that_a_campaign_for_a_cause_is_resumed_without_naming_its_goal_again(
+    tmp_path, said_by
+):
     begun = f"campaign --physics polytropic --seed 2 --out {tmp_path / 'hunt'}".split()
     goal = ["--goal", "cause", "--models", "nhkv", "--effects", "sound_speed,gas_loss"]
     first = said_by([*begun, *goal])
@@ -314,7 +359,9 @@ def test_that_a_file_is_told_once_and_forgotten_by_its_number(told_once, tmp_pat
     assert read_json(out / "campaign.json")["experiments"] == [2]
     assert (out / "curve_002.png").exists()
     assert (out / "journal.jsonl").read_bytes().startswith(before)
-    assert "There is no experiment 1 to forget" in said_by(real(out, "--resume", "--forget", 1), 2)
+    assert "There is no experiment 1 to forget" in said_by(
+        real(out, "--resume", "--forget", 1), 2
+    )
 
 
 def radii_above(rows: list[str], largest_um: float) -> list[str]:
@@ -354,7 +401,9 @@ def test_that_a_told_shot_that_cannot_be_used_is_recorded_as_failed_and_asked_fo
     assert main(real(out, "--resume", "--tell", tmp_path / "none.csv")) == 2
 
 
-def test_that_a_folder_in_use_and_a_full_disk_are_one_line_each(told_once, tmp_path, capsys):
+def test_that_a_folder_in_use_and_a_full_disk_are_one_line_each(
+    told_once, tmp_path, capsys
+):
     out = tmp_path / "gel"
     shutil.copytree(told_once[0], out)
     before = (out / "journal.jsonl").read_bytes()
@@ -379,7 +428,11 @@ def test_a_saved_belief_is_the_prior_of_the_next_design(tmp_path):
     assert main(["design", "--belief", str(saved), *shared, str(tmp_path / "a.json")]) == 0
     assert main(["design", "--models", "nhkv", *shared, str(tmp_path / "b.json")]) == 0
     first, second = (read_json(tmp_path / name) for name in ("a.json", "b.json"))
-    assert {key for key in first if first[key] != second[key]} <= {"created", "command", "files"}
+    assert {key for key in first if first[key] != second[key]} <= {
+        "created",
+        "command",
+        "files",
+    }
     assert (first["schema"], first["medium"]) == (second["schema"], second["medium"])
     assert [entry["name"] for entry in first["files"]] == ["belief.json"]
 
@@ -391,7 +444,10 @@ def test_that_a_reference_case_is_observed_as_published_and_a_gel_of_ones_own_as
     assert own.repeats == 10
     assert (own.nuisance.sds() > 0.0).all()
     for gel in (["--case", "soft-pa"], ["--models", "nhkv"]):
-        assert plan_of(build_parser().parse_args(["design", *gel, "--repeats", "3"])).repeats == 3
+        assert (
+            plan_of(build_parser().parse_args(["design", *gel, "--repeats", "3"])).repeats
+            == 3
+        )
 
 
 def test_that_an_elastic_model_is_the_base_of_a_diagnosis():

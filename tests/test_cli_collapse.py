@@ -40,7 +40,10 @@ def test_that_a_table_gives_result_figure_and_page(tmp_path, capsys):
     assert document["curves"] == []
     assert document["collapse_times"][0]["Rmax_m"] == pytest.approx(3.4017647e-4, rel=1e-6)
     assert (
-        abs(document["collapse_times"][0]["t_star"] - document["collapse_times"][0]["predicted"])
+        abs(
+            document["collapse_times"][0]["t_star"]
+            - document["collapse_times"][0]["predicted"]
+        )
         < 0.03
     )
     low, middle, high = document["models"]["nhkv"]["intervals"]["G"]
@@ -49,8 +52,9 @@ def test_that_a_table_gives_result_figure_and_page(tmp_path, capsys):
     assert "root mean square" in page.read_text()
     assert (out / "collapse_times.png").exists()
     assert "collapse_times" in [figure.name for figure in draw_figures(document)]
-    assert "It was not tested whether the model explains the collapse times" in document_page(
-        document
+    assert (
+        "It was not tested whether the model explains the collapse times"
+        in document_page(document)
     )
 
 

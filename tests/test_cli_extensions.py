@@ -49,7 +49,9 @@ def written(folder: Path, name: str, mark: str) -> Path:
     return path
 
 
-def test_that_a_file_adds_a_format_that_commands_and_folders_know(tmp_path, clean, capsys, said_by):
+def test_that_a_file_adds_a_format_that_commands_and_folders_know(
+    tmp_path, clean, capsys, said_by
+):
     code = written(tmp_path, "own_format", "OWN")
     shots = tmp_path / "shots"
     shots.mkdir()
@@ -58,7 +60,9 @@ def test_that_a_file_adds_a_format_that_commands_and_folders_know(tmp_path, clea
     (shots / "notes").write_text("of the day")
     command = f"characterize {shots} --physics polytropic --models nhkv".split()
     assert "the folder holds no file of curves" in said_by(command, 2)
-    assert main([*command, "--import", str(code)]) == 2  # a curve that only grows is refused
+    assert (
+        main([*command, "--import", str(code)]) == 2
+    )  # a curve that only grows is refused
     printed = capsys.readouterr()
     assert "gel: 12 frames over 11 us, largest radius 161 um" in printed.out
     assert "no such file" not in printed.err
@@ -79,12 +83,16 @@ def test_that_a_model_of_a_file_is_simulated(tmp_path, processes):
     assert read_json(bubble)["model"] == "own_kv"
 
 
-def test_that_an_installed_package_is_an_extension_by_its_entry_point(tmp_path, clean, monkeypatch):
+def test_that_an_installed_package_is_an_extension_by_its_entry_point(
+    tmp_path, clean, monkeypatch
+):
     written(tmp_path, "own_package", "PKG")
     sys.path.append(str(tmp_path))
     info = tmp_path / "own_package-1.0.dist-info"
     info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: own-package\nVersion: 1.0\n")
+    (info / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: own-package\nVersion: 1.0\n"
+    )
     (info / "entry_points.txt").write_text("[imr_torch]\nmine = own_package\n")
     assert load_extensions(()) == ("own_package",)
     assert "of own_package" in READERS
@@ -105,17 +113,27 @@ def test_that_workers_import_extensions_first(tmp_path, clean):
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
-        ("missing.py", None, r"missing\.py: no such Python file; name one that ends in \.py"),
+        (
+            "missing.py",
+            None,
+            r"missing\.py: no such Python file; name one that ends in \.py",
+        ),
         ("time.py", "", r"'time' is the name of another module; rename the file"),
         (
             "own_bad.py",
             "\n\n1 / 0\n",
             r"own_bad\.py, line 3: cannot be imported: ZeroDivisionError",
         ),
-        ("own_syntax.py", "def\n", r"own_syntax\.py: cannot be imported: SyntaxError: .*line 1"),
+        (
+            "own_syntax.py",
+            "def\n",
+            r"own_syntax\.py: cannot be imported: SyntaxError: .*line 1",
+        ),
     ],
 )
-def test_that_a_file_that_cannot_be_imported_is_refused(tmp_path, clean, name, text, message):
+def test_that_a_file_that_cannot_be_imported_is_refused(
+    tmp_path, clean, name, text, message
+):
     if text is not None:
         (tmp_path / name).write_text(text)
     with refused(message):
@@ -123,7 +141,13 @@ def test_that_a_file_that_cannot_be_imported_is_refused(tmp_path, clean, name, t
 
 
 def test_that_every_command_that_computes_takes_it():
-    for command in ("batch --out o", "characterize", "diagnose", "simulate --set G=1", "design"):
+    for command in (
+        "batch --out o",
+        "characterize",
+        "diagnose",
+        "simulate --set G=1",
+        "design",
+    ):
         name, *options = command.split()
         files = ["gel.csv"] if name in ("batch", "characterize", "diagnose") else []
         given = ["--import", "a.py", "--import", "b.py"]
@@ -135,7 +159,9 @@ def test_that_every_command_that_computes_takes_it():
 
 def test_that_a_result_of_a_batch_depends_on_the_code_of_its_extensions():
     options = BatchOptions(wide_prior(["nhkv"]), PolytropicSimulator())
-    keys = {replace(options, code=code).make_key() for code in ((), (b"G = 1",), (b"G = 2",))}
+    keys = {
+        replace(options, code=code).make_key() for code in ((), (b"G = 1",), (b"G = 2",))
+    }
     assert len(keys) == 3
 
 
@@ -143,5 +169,13 @@ def test_that_a_result_of_a_batch_depends_on_the_code_of_its_extensions():
 def test_that_a_file_that_is_read_is_not_written_over(tmp_path, option, said_by):
     file = tmp_path / "own.py"
     file.write_text("time (us),p (kPa)\n0,0\n1,1\n2,0\n")
-    command = ["simulate", "--set", "G=8310,mu=0.093", option, str(file), "--json", str(file)]
+    command = [
+        "simulate",
+        "--set",
+        "G=8310,mu=0.093",
+        option,
+        str(file),
+        "--json",
+        str(file),
+    ]
     assert "which is read as well; give another name" in said_by(command, 2)

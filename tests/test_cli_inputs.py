@@ -63,7 +63,10 @@ def test_that_the_only_curve_of_a_file_can_be_left_out(tmp_path, capsys, said_by
         files.append(str(tmp_path / f"{name}.csv"))
         own = [row for row in rows if row.startswith(f"{name},")]
         Path(files[-1]).write_text("\n".join([header, *own]))
-    line = [*f"characterize {' '.join(files)} --models nhkv --medium density=1060".split(), *QUICK]
+    line = [
+        *f"characterize {' '.join(files)} --models nhkv --medium density=1060".split(),
+        *QUICK,
+    ]
     with without_fits(), pytest.raises(Reached):
         main([*line, "--exclude", "shot_1"])
     assert "1 curve(s)" in capsys.readouterr().out
@@ -82,7 +85,9 @@ def test_that_a_fit_keeps_what_is_known_and_takes_the_experiments_that_are_named
     assert list(result["models"]["nhkv"]["intervals"]) == ["G"]
 
 
-def test_that_a_fit_that_has_not_converged_ends_with_its_status(tmp_path, said_by, monkeypatch):
+def test_that_a_fit_that_has_not_converged_ends_with_its_status(
+    tmp_path, said_by, monkeypatch
+):
     module = sys.modules[characterize.__module__]
     whole = module.assimilate_estimating_noise
 
@@ -98,7 +103,9 @@ def test_that_a_fit_that_has_not_converged_ends_with_its_status(tmp_path, said_b
     assert document.exists()
 
 
-@pytest.mark.skipif(os.name != "posix", reason="devices, links and file modes are those of POSIX")
+@pytest.mark.skipif(
+    os.name != "posix", reason="devices, links and file modes are those of POSIX"
+)
 def test_that_files_have_the_usual_mode_and_devices_and_links_stay(tmp_path):
     write_json(tmp_path / "a.json", {"G": 1.0})
     mask = os.umask(0)
@@ -126,9 +133,13 @@ def test_that_files_have_the_usual_mode_and_devices_and_links_stay(tmp_path):
         ("new/fit.json", "may not be written to; give another folder"),
     ],
 )
-def test_that_a_target_that_cannot_be_written_is_refused(tmp_path, monkeypatch, target, message):
+def test_that_a_target_that_cannot_be_written_is_refused(
+    tmp_path, monkeypatch, target, message
+):
     """By every command: tests/bad_input/test_command_line.py."""
-    monkeypatch.setattr(os, "access", lambda path, mode: False)  # as root, permissions do not bind
+    monkeypatch.setattr(
+        os, "access", lambda path, mode: False
+    )  # as root, permissions do not bind
     with refused(message):
         check_target(tmp_path / target, "--json")
 
@@ -144,7 +155,9 @@ def test_that_letters_a_terminal_lacks_do_not_end_the_command(tmp_path):
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
+@pytest.mark.skipif(
+    not Path("/dev/full").exists(), reason="needs a device that is always full"
+)
 def test_that_a_full_disk_and_a_closed_pipe_are_said_in_a_line(said_by):
     simulate = ["simulate", "--set", "G=1e4,mu=0.1", "--physics", "polytropic", "--json"]
     said = said_by([*simulate, "/dev/full"], 1)

@@ -34,7 +34,9 @@ def fit(path: Path, *more: str) -> list[str]:
     ]
 
 
-def test_that_a_stated_density_gives_the_gel_and_another_one_is_inferred(tmp_path, capsys, said_by):
+def test_that_a_stated_density_gives_the_gel_and_another_one_is_inferred(
+    tmp_path, capsys, said_by
+):
     path = write_shot(tmp_path)
     result = tmp_path / "fit.json"
     page = tmp_path / "fit.html"
@@ -61,7 +63,9 @@ def test_that_a_stated_density_gives_the_gel_and_another_one_is_inferred(tmp_pat
     assert "density was assumed 1060 +- 30 kg/m^3 and is" in said
     assumed = read_json(result)
     first = "Not stated, and inferred with the gel from a wide prior: density (1060 +- 30 kg/m^3)"
-    assert document_report(assumed).splitlines()[1].startswith(first)  # polytropic is said before
+    assert (
+        document_report(assumed).splitlines()[1].startswith(first)
+    )  # polytropic is said before
     assert first in page.read_text()
     assert assumed["medium"]["density"]["stated"] is False
     assert "density" not in [found["name"] for found in assumed["medium_sensitivities"]]
@@ -85,7 +89,9 @@ def test_that_the_file_states_the_medium_and_the_command_counts_first(tmp_path, 
     assert document["medium"]["density"]["sd"] == 30.0
     assert "density was stated 1150 +- 30 kg/m^3 and is" in capsys.readouterr().out
     assert main([*fit(path, "--medium", "density=1100"), "--json", str(result)]) in (0, 1)
-    assert "Stated twice, density: 1100 (--medium) and 1150 +- 30" in capsys.readouterr().out
+    assert (
+        "Stated twice, density: 1100 (--medium) and 1150 +- 30" in capsys.readouterr().out
+    )
 
 
 def test_that_simulate_makes_the_bubble_of_the_medium(tmp_path):
@@ -93,7 +99,17 @@ def test_that_simulate_makes_the_bubble_of_the_medium(tmp_path):
     for medium in (["--medium", "density=1150"], []):
         name = tmp_path / "bubble.json"
         assert (
-            main(["simulate", "--set", "G=8310,mu=0.093", *medium, *QUICK, "--json", str(name)])
+            main(
+                [
+                    "simulate",
+                    "--set",
+                    "G=8310,mu=0.093",
+                    *medium,
+                    *QUICK,
+                    "--json",
+                    str(name),
+                ]
+            )
             == 0
         )
         seconds.append(read_json(name)["time_s"][-1])
@@ -109,7 +125,9 @@ def test_that_diagnose_fits_in_the_stated_medium(tmp_path, said_by):
         "--json",
         str(result),
     ]
-    assert "Medium: density 1150 kg/m^3 (--medium)" in said_by([*base, "--medium", "density=1150"])
+    assert "Medium: density 1150 kg/m^3 (--medium)" in said_by(
+        [*base, "--medium", "density=1150"]
+    )
     document = read_json(result)
     assert document["verdict"] == "none"
     assert document["medium"]["density"]["value"] == 1150.0
@@ -117,7 +135,10 @@ def test_that_diagnose_fits_in_the_stated_medium(tmp_path, said_by):
 
 def test_that_a_campaign_is_of_one_medium(tmp_path, said_by):
     out = tmp_path / "gel"
-    base = f"campaign --models nhkv --policy space-filling --repeats 1 --out {out}".split() + QUICK
+    base = (
+        f"campaign --models nhkv --policy space-filling --repeats 1 --out {out}".split()
+        + QUICK
+    )
     rest = ["--rest-radius", "0.21:0.005"]
     assert main([*base, "--medium", "density=1150:10"]) == 0
     start = json.loads((out / "journal.jsonl").read_text().splitlines()[0])
@@ -150,6 +171,8 @@ def test_that_a_batch_takes_the_medium_of_each_file_or_that_of_all(tmp_path):
     for more in ([], ["--medium", "density=1100"], []):
         assert main([*base, "--out", str(tmp_path / "out"), *more]) in (0, 1)
         values.append(
-            read_json(tmp_path / "out" / "shots" / "shot.json")["medium"]["density"]["value"]
+            read_json(tmp_path / "out" / "shots" / "shot.json")["medium"]["density"][
+                "value"
+            ]
         )
     assert values == [1150.0, 1100.0, 1150.0]

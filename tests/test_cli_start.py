@@ -61,7 +61,9 @@ def test_that_the_version_is_that_of_the_package(capsys):
     assert capsys.readouterr().out == f"imr-torch {imr_torch.__version__}\n"
 
 
-def test_that_a_checkout_that_is_not_installed_says_so_before_any_work(monkeypatch, said_by):
+def test_that_a_checkout_that_is_not_installed_says_so_before_any_work(
+    monkeypatch, said_by
+):
     build_parser.cache_clear()
     monkeypatch.setattr("imr_torch.cli.version", lambda name: version(f"{name}-absent"))
     assert (
@@ -125,7 +127,9 @@ def test_that_the_demo_passes_options_on_resumes_and_keeps_other_files(
     args.argv = words
     demo.run_command(args)
     assert [command[0] for command in ran] == ["characterize", "campaign"]
-    assert all(command[-5:] == ["--seed", "0", "--threads", "1", "--quiet"] for command in ran)
+    assert all(
+        command[-5:] == ["--seed", "0", "--threads", "1", "--quiet"] for command in ran
+    )
     assert (out / "example_gel.csv").read_bytes() == example_gel().read_bytes()
     assert "--resume" not in ran[1]
     assert len(read_json(out / "demo.json")["commands"]) == 2

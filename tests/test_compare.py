@@ -29,10 +29,16 @@ def gel(
     mean = float64.tensor(datum) / sd**2 / precision
     chol = float64.eye(2) / math.sqrt(precision)
     belief = Belief(
-        tuple(part.with_gaussian(mean, chol) for part in prior.models), prior.log_probabilities
+        tuple(part.with_gaussian(mean, chol) for part in prior.models),
+        prior.log_probabilities,
     )
     models = {part.model: TRUSTED for part in prior.models}
-    document = {"prior": prior.to_dict(), "belief": belief.to_dict(), "models": models, **changes}
+    document = {
+        "prior": prior.to_dict(),
+        "belief": belief.to_dict(),
+        "models": models,
+        **changes,
+    }
     return SavedCharacterization.from_dict(document, source=f"gel {datum}")
 
 
@@ -48,7 +54,9 @@ def evidence(data: torch.Tensor, sd: float) -> float:
 def test_that_the_bayes_factor_is_that_of_the_closed_form(other):
     one = (0.3, -0.2)
     sd = 0.25
-    together = sum(evidence(float64.tensor([x, y]), sd) for x, y in zip(one, other, strict=True))
+    together = sum(
+        evidence(float64.tensor([x, y]), sd) for x, y in zip(one, other, strict=True)
+    )
     apart = sum(evidence(float64.tensor([x]), sd) for x in (*one, *other))
     found = compare(gel(one, sd), gel(other, sd))
     assert found.log_bayes_factor == pytest.approx(together - apart, abs=1e-9)
@@ -70,12 +78,16 @@ def test_that_models_count_by_their_probabilities():
                 {"prior": prior.to_dict(), "belief": belief.to_dict(), "models": models}
             )
         )
-    overlap = -0.5 * math.log(0.01 * (2 - 0.01))  # of one control, sd .1 in both, 1 in the prior
+    overlap = -0.5 * math.log(
+        0.01 * (2 - 0.01)
+    )  # of one control, sd .1 in both, 1 in the prior
     expected = math.log(
         0.9 * 0.9 / 0.5 * math.exp(2 * overlap) + 0.1 * 0.1 / 0.5 * math.exp(overlap)
     )
     assert compare(*twins).log_bayes_factor == pytest.approx(expected, abs=1e-9)
-    assert compare(*twins, model="nhkv").log_bayes_factor == pytest.approx(2 * overlap, abs=1e-9)
+    assert compare(*twins, model="nhkv").log_bayes_factor == pytest.approx(
+        2 * overlap, abs=1e-9
+    )
 
 
 def test_that_results_whose_model_misses_the_curves_give_no_verdict():
@@ -83,7 +95,9 @@ def test_that_results_whose_model_misses_the_curves_give_no_verdict():
     missed = SavedCharacterization.from_dict(document, source="a")
     found = compare(missed, gel((0.9, 0.0), 0.02))
     assert (found.verdict, found.misfits) == ("undecided", ("a",))
-    said = "No verdict on whether the gels differ: the model does not explain the curves of a."
+    said = (
+        "No verdict on whether the gels differ: the model does not explain the curves of a."
+    )
     assert found.report().startswith(said)
     assert "not to be quoted" in found.cautions[0]
 
@@ -97,14 +111,20 @@ def test_that_same_gels_are_called_the_same_and_others_different():
 def test_that_parameters_are_compared_over_all_pairs_of_weighted_draws():
     def with_draws(stiffness: list[float], weights: list[float]) -> SavedCharacterization:
         values = {"G": stiffness, "mu": [0.1] * len(stiffness)}
-        return gel((0.0, 0.0), 0.1, weighted_draws={"nhkv": {"weights": weights, "values": values}})
+        return gel(
+            (0.0, 0.0), 0.1, weighted_draws={"nhkv": {"weights": weights, "values": values}}
+        )
 
     found = compare(with_draws([1000.0, 4000.0], [0.75, 0.25]), with_draws([2000.0], [1.0]))
     modulus, viscosity = found.parameters
     assert (modulus.parameter, viscosity.parameter) == ("G", "mu")
     assert modulus.probability_greater == pytest.approx(0.25)
     # quantiles lie between draws, as those of every other interval
-    assert (modulus.ratio_low, modulus.ratio_median, modulus.ratio_high) == (0.5, 0.875, 2.0)
+    assert (modulus.ratio_low, modulus.ratio_median, modulus.ratio_high) == (
+        0.5,
+        0.875,
+        2.0,
+    )
     assert (modulus.difference_low, modulus.difference_median) == (-1000.0, -250.0)
     assert modulus.difference_high == 2000.0
     assert viscosity.probability_greater == pytest.approx(0.5)
@@ -133,7 +153,9 @@ def test_that_there_is_no_bayes_factor_without_its_basis(change, reason):
 
 def test_that_priors_that_differ_give_no_bayes_factor():
     part = PRIOR["nhkv"]
-    moved = Belief((part.with_gaussian(part.mean + 0.1, part.chol),), PRIOR.log_probabilities)
+    moved = Belief(
+        (part.with_gaussian(part.mean + 0.1, part.chol),), PRIOR.log_probabilities
+    )
     assert (
         "priors of NHKV differ"
         in compare(gel((0.3, 0.0), 0.02), gel((0.3, 0.0), 0.02, prior=moved)).reason
@@ -144,7 +166,9 @@ def infer_density(result: SavedCharacterization, sd: float) -> SavedCharacteriza
     """The result where the density was stated with a standard deviation, and inferred."""
     medium = {"density": TruncatedNormal(0.0, sd)}
     beliefs = {
-        name: Belief(tuple(add_parameters(x, medium) for x in old.models), old.log_probabilities)
+        name: Belief(
+            tuple(add_parameters(x, medium) for x in old.models), old.log_probabilities
+        )
         for name, old in (("belief", result.posterior), ("prior", result.prior or PRIOR))
     }
     document = {name: belief.to_dict() for name, belief in beliefs.items()}
@@ -170,7 +194,8 @@ def test_that_doubtful_results_are_compared_with_a_caution():
     text = " ".join(found.cautions)
     assert "the fit of NHKV to gel (0.3, 0.0) has not converged" in text
     assert (
-        "the intervals of gel (0.3, 0.0) are not reliable, since their computation failed" in text
+        "the intervals of gel (0.3, 0.0) are not reliable, since their computation failed"
+        in text
     )
     same = gel((0.3, 0.0), 0.1)
     assert "their data are not independent" in " ".join(compare(same, same).cautions)
@@ -187,7 +212,10 @@ DOCUMENTS = {
         "{",
         r"a\.json: cannot be used \(JSONDecodeError.*expected a result of imr-torch characterize",
     ),
-    "another document": ('{"a": 1}', r"a\.json: holds no 'models' and 'belief'; expected a result"),
+    "another document": (
+        '{"a": 1}',
+        r"a\.json: holds no 'models' and 'belief'; expected a result",
+    ),
 }
 
 
@@ -202,5 +230,7 @@ def test_that_files_of_other_kinds_are_named(name, tmp_path, said_by):
 def test_that_results_without_a_common_model_are_refused(tmp_path):
     other = wide_prior(["newtonian"])
     document = {"belief": other.to_dict(), "models": {"newtonian": TRUSTED}}
-    with refused(r"has the models nhkv and result newtonian; fit a model to both with --models"):
+    with refused(
+        r"has the models nhkv and result newtonian; fit a model to both with --models"
+    ):
         compare(gel((0.3, 0.0), 0.1), SavedCharacterization.from_dict(document))

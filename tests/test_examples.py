@@ -25,7 +25,16 @@ STAGES = (
     "calibration",
     "gap",
 )
-OTHERS = ("characterization", "export", "units", "files", "random", "labels", "html", "results")
+OTHERS = (
+    "characterization",
+    "export",
+    "units",
+    "files",
+    "random",
+    "labels",
+    "html",
+    "results",
+)
 PUBLIC = ("imr_torch", *(f"imr_torch.{name}" for name in (*STAGES, *OTHERS)))
 NEEDS = {
     "imr_torch.export.arviz": ("xarray", "arviz_base", "h5netcdf"),
@@ -46,8 +55,12 @@ def examples() -> list[doctest.DocTest]:
     Those of the design stage have a test of their own.
     """
     finder = doctest.DocTestFinder(exclude_empty=True)
-    kept = (module for module in modules() if not module.__name__.startswith("imr_torch.design"))
-    return [test for module in kept for test in finder.find(module, globs={}) if test.examples]
+    kept = (
+        module for module in modules() if not module.__name__.startswith("imr_torch.design")
+    )
+    return [
+        test for module in kept for test in finder.find(module, globs={}) if test.examples
+    ]
 
 
 def public_objects() -> dict[str, object]:
@@ -61,7 +74,9 @@ def public_objects() -> dict[str, object]:
             for name, value in vars(package).items()
             if getattr(value, "__module__", "") == package.__name__
         ]
-        for name in getattr(package, "__all__", [name for name in own if not name.startswith("_")]):
+        for name in getattr(
+            package, "__all__", [name for name in own if not name.startswith("_")]
+        ):
             value = getattr(package, name)
             if inspect.isclass(value) or inspect.isfunction(value):
                 found[f"{value.__module__}.{value.__qualname__}"] = value

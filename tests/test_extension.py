@@ -2,7 +2,14 @@
 
 from pathlib import Path
 
-from imr_torch.observe import READERS, Layout, Reader, TraceSet, load_traces, register_reader
+from imr_torch.observe import (
+    READERS,
+    Layout,
+    Reader,
+    TraceSet,
+    load_traces,
+    register_reader,
+)
 from tests.refusals import refused
 
 

@@ -52,7 +52,9 @@ def test_that_json_keeps_every_bit_of_a_float64(tmp_path):
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_that_json_refuses_a_number_that_it_has_no_word_for_and_keeps_the_old_file(tmp_path, value):
+def test_that_json_refuses_a_number_that_it_has_no_word_for_and_keeps_the_old_file(
+    tmp_path, value
+):
     target = tmp_path / "x.json"
     write_json(target, {"x": 1.0})
     with pytest.raises(ValueError, match="not JSON compliant"):

@@ -55,7 +55,9 @@ ROOMS = (
 """What is made of the stages: may import these and one another."""
 
 
-def imported(source: str, module: tuple[str, ...], is_package: bool) -> list[tuple[int, str]]:
+def imported(
+    source: str, module: tuple[str, ...], is_package: bool
+) -> list[tuple[int, str]]:
     """Line and first component below ``imr_torch`` of every import of the package, at any depth of the source.
 
     ``from imr_torch import x`` counts as ``x``, ``import imr_torch`` as ``"*"`` (it can reach
@@ -66,12 +68,18 @@ def imported(source: str, module: tuple[str, ...], is_package: bool) -> list[tup
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             paths = [alias.name.split(".") for alias in node.names]
-        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(
+            "import_module"
+        ):
             (name, *_) = node.args
             text = name.value if isinstance(name, ast.Constant) else ""
             paths = [str(text).split(".")]
         elif isinstance(node, ast.ImportFrom):
-            start = [] if node.level == 0 else ["imr_torch", *here[: len(here) - node.level + 1]]
+            start = (
+                []
+                if node.level == 0
+                else ["imr_torch", *here[: len(here) - node.level + 1]]
+            )
             stem = start + (node.module.split(".") if node.module else [])
             paths = [[*stem, alias.name] for alias in node.names]
         else:
@@ -142,7 +150,9 @@ def test_that_the_checker_finds_an_import_against_the_flow(source, module, culpr
 
 def circles(files: list[tuple[Path, tuple[str, ...], bool]]) -> list[set[str]]:
     """Modules that import each other in a circle, at any depth of their source."""
-    sources = {".".join(("imr_torch", *module)): path.read_text() for path, module, _ in files}
+    sources = {
+        ".".join(("imr_torch", *module)): path.read_text() for path, module, _ in files
+    }
     graph: dict[str, set[str]] = {}
     for name, source in sources.items():
         graph[name] = set()
@@ -173,12 +183,16 @@ def test_that_material_stands_alone(processes):
     script = "import sys, imr_torch.material\nprint([m for m in sys.modules if m.startswith('imr_torch.')])"
     done = processes.run(script)
     assert done.returncode == 0, done.stderr
-    assert not [name for name in ast.literal_eval(done.stdout) if name.split(".")[1] in STAGES[1:]]
+    assert not [
+        name for name in ast.literal_eval(done.stdout) if name.split(".")[1] in STAGES[1:]
+    ]
 
 
 def test_that_effects_of_the_bubble_have_their_physics_once_bubbles_are_simulated():
     of_the_bubble = [
-        effect for effect in LIBRARY.values() if effect.place in ("gas", "liquid", "driving")
+        effect
+        for effect in LIBRARY.values()
+        if effect.place in ("gas", "liquid", "driving")
     ]
     assert len(of_the_bubble) > 12
     assert [
@@ -194,7 +208,8 @@ def test_that_a_parameter_vector_has_all_entries_whatever_is_imported_first(proc
     """Processes that were started to simulate import no later stage, and read vectors of a process that did."""
     script = "import imr_torch.{}\nfrom imr_torch.material import PARAMETERS, LIBRARY\nprint([*PARAMETERS.names], [*LIBRARY])"
     ran = [
-        processes.run(script.format(stage)) for stage in ("material", "simulate", "observe", "gap")
+        processes.run(script.format(stage))
+        for stage in ("material", "simulate", "observe", "gap")
     ]
     assert [done.stderr for done in ran if done.returncode] == []
     assert len({done.stdout for done in ran}) == 1

@@ -10,7 +10,14 @@ from imr_torch.files import read_json
 from tests.fewer import sum_few_deviations
 from tests.results.documents import GEL, traces, write_table
 
-COMMON = ["--medium", "density=1060", "--rest-radius", "0.2:0.002", "--physics", "polytropic"]
+COMMON = [
+    "--medium",
+    "density=1060",
+    "--rest-radius",
+    "0.2:0.002",
+    "--physics",
+    "polytropic",
+]
 COMMON += ["--quiet"]
 
 
@@ -27,7 +34,14 @@ def values(tmp_path_factory, cheap_noise):
     here = tmp_path_factory.mktemp("one_value")
     file = str(write_table(traces(("a", "b", "c"), noise=0.003), here / "gel.csv"))
     model = ["--models", "nhkv", *COMMON]
-    of_gel = ["characterize", file, "--population", *model, "--json", str(here / "result.json")]
+    of_gel = [
+        "characterize",
+        file,
+        "--population",
+        *model,
+        "--json",
+        str(here / "result.json"),
+    ]
     assert main(of_gel) == 0
     assert main(["batch", file, *model, *f"--workers 1 --out {here}/batch".split()]) == 0
     tried = ["--effects", "sound_speed", *COMMON, "--json", str(here / "gap.json")]
@@ -43,7 +57,9 @@ def values(tmp_path_factory, cheap_noise):
         "characterize": gel["models"]["nhkv"]["intervals"],
         "batch": {name: [float(row[name + end]) for end in ends] for name in GEL},
         "diagnose": gap["parameters"],
-        "population": {name: gel["population"]["parameters"][name]["median"] for name in GEL},
+        "population": {
+            name: gel["population"]["parameters"][name]["median"] for name in GEL
+        },
     }
 
 

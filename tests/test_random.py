@@ -28,7 +28,9 @@ def test_that_different_paths_and_seeds_have_different_children():
         (1,),
         (1, 0),
     ]
-    seeds = [child(seed, *path) for seed, path in itertools.product((0, 1, 10, 2**40), paths)]
+    seeds = [
+        child(seed, *path) for seed, path in itertools.product((0, 1, 10, 2**40), paths)
+    ]
     assert len(set(seeds)) == len(seeds)
 
 

@@ -83,14 +83,20 @@ def ran(*arguments: str) -> str:
     options = ("--check-shapes", "--tb=short", "-rfE", "-p", "no:cacheprovider")
     command = (sys.executable, "-m", "pytest", *options, *arguments)
     done = subprocess.run(
-        command, cwd=ROOT, env=os.environ | {"OMP_NUM_THREADS": "1"}, capture_output=True, text=True
+        command,
+        cwd=ROOT,
+        env=os.environ | {"OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
     )
     assert re.search(r"\d+ passed", done.stdout), done.stdout[-8000:] + done.stderr[-2000:]
     return done.stdout
 
 
 def test_that_tensors_have_the_shapes_of_their_annotations(checked):
-    failed = re.findall(r"^(?:FAILED|ERROR) \S*?((?:::)?[^/\s]+)(?:\s|$)", checked, re.MULTILINE)
+    failed = re.findall(
+        r"^(?:FAILED|ERROR) \S*?((?:::)?[^/\s]+)(?:\s|$)", checked, re.MULTILINE
+    )
     assert failed == ["::test_that_does_not_fit"], checked[
         -8000:
     ]  # of a file outside of the project

@@ -103,7 +103,9 @@ def test_that_posterior_and_conditionals_are_those_of_all_data_at_once():
         for name, place, median in (("G", 2 * i, 1e3), ("mu", 2 * i + 1, 0.1)):
             controls = (tensor(one["after"][name]) / median).log() / math.log(3.0)
             wanted = mean[place] + tensor([-1.645, 0.0, 1.645]) * sd[place]
-            assert controls.tolist() == pytest.approx(wanted.tolist(), abs=0.005 * float(sd[place]))
+            assert controls.tolist() == pytest.approx(
+                wanted.tolist(), abs=0.005 * float(sd[place])
+            )
         assert one["after"] != one["before"]
 
 
@@ -133,7 +135,11 @@ def test_that_a_one_sided_prior_is_respected(truth):
     for number, (sd, centre) in enumerate(zip(sds, centres, strict=True)):
         u = (arange(4000) + 0.5) / 4000 * 6.0
         weights = torch.exp(-0.5 * u.square() - 0.5 * ((u - centre) / sd).square())
-        values = {"size_drag": (1e7 * u).tolist(), "G": [1e3] * len(u), "mu": [0.1] * len(u)}
+        values = {
+            "size_drag": (1e7 * u).tolist(),
+            "G": [1e3] * len(u),
+            "mu": [0.1] * len(u),
+        }
         values["G"] = (1e3 * torch.exp(0.1 * u)).tolist()
         document = {
             "prior": prior.to_dict(),
@@ -146,10 +152,14 @@ def test_that_a_one_sided_prior_is_respected(truth):
     found = infer_shared(results, "size_drag")
 
     def density(x: float, which: tuple[int, ...] = (0, 1, 2)) -> float:
-        return float(2.0 * norm.pdf(x) * math.prod(norm.pdf(x, centres[i], sds[i]) for i in which))
+        return float(
+            2.0 * norm.pdf(x) * math.prod(norm.pdf(x, centres[i], sds[i]) for i in which)
+        )
 
     whole = quad(density, 0.0, 6.0, points=[truth])[0]
-    own = math.prod(quad(density, 0.0, 6.0, args=((i,),), points=[truth])[0] for i in range(3))
+    own = math.prod(
+        quad(density, 0.0, 6.0, args=((i,),), points=[truth])[0] for i in range(3)
+    )
     none = math.prod(norm.pdf(0.0, c, s) for c, s in zip(centres, sds, strict=True))
     assert found.log_evidences["one"] == pytest.approx(math.log(whole / own), abs=0.01)
     assert found.log_evidences["none"] == pytest.approx(math.log(none / own), abs=0.03)
@@ -165,7 +175,10 @@ def test_that_a_prior_of_a_logarithm_is_respected_and_excludes_no_effect():
     ends = mean[-1] + tensor([-1.645, 0.0, 1.645]) * covariance[-1, -1].sqrt()
     expected = marginal.to_physical(ends)
     assert found.interval == pytest.approx(expected.tolist(), rel=1e-3)
-    assert found.log_evidences == {"one": pytest.approx(one - own_evidence(), abs=1e-4), "own": 0.0}
+    assert found.log_evidences == {
+        "one": pytest.approx(one - own_evidence(), abs=1e-4),
+        "own": 0.0,
+    }
     json.dumps(found.to_dict(), allow_nan=False)  # what cannot be said is null
 
 
@@ -183,7 +196,9 @@ def test_that_a_misfit_gives_no_verdict_and_is_said(tmp_path, capsys):
     found = infer_shared([missed, gel(DATA[1])], "size_drag")
     assert found.verdict == "undecided"
     assert found.misfits == ["gel (0.2, -0.1, 0.5)"]
-    assert found.report().startswith("No verdict on whether the gels share size_drag: the model")
+    assert found.report().startswith(
+        "No verdict on whether the gels share size_drag: the model"
+    )
     page = document_page(header("compare") | found.to_dict())
     assert 'class="verdict warning"' in page
     assert "gel (-0.4, 0.3, 0.8)" in page
@@ -209,13 +224,22 @@ def test_that_what_cannot_be_shared_is_named():
     a, b = gel(DATA[0]), gel(DATA[1])
     part = wide_prior(["nhkv"])
     plain = SavedCharacterization.from_dict(
-        {"belief": part.to_dict(), "prior": part.to_dict(), "models": {"nhkv": {}}}, source="plain"
+        {"belief": part.to_dict(), "prior": part.to_dict(), "models": {"nhkv": {}}},
+        source="plain",
     )
     moved = SavedCharacterization(a.document, a.posterior, a.posterior, "moved")
     for results, model, message in (
         ([a], None, "'size_drag': one result; give those of two gels or more"),
-        ([a, plain], None, "plain does not infer it in nhkv, .* --models nhkv,nhkv\\+size_drag"),
-        ([a, gel(DATA[1], ONE_SIDED)], None, "lower=-inf.* and .*lower=0.0.* from one prior"),
+        (
+            [a, plain],
+            None,
+            "plain does not infer it in nhkv, .* --models nhkv,nhkv\\+size_drag",
+        ),
+        (
+            [a, gel(DATA[1], ONE_SIDED)],
+            None,
+            "lower=-inf.* and .*lower=0.0.* from one prior",
+        ),
         ([a, moved], None, "moved by earlier data, in moved"),
     ):
         with refused(message):
@@ -226,7 +250,9 @@ def test_that_what_cannot_be_shared_is_named():
 
 def test_that_a_verdict_needs_a_clear_probability():
     def shared(one: float) -> SharedParameter:
-        return SharedParameter("size_drag", [1.0] * 3, {"one": one, "own": 0.0}, 0.5, [], [], [])
+        return SharedParameter(
+            "size_drag", [1.0] * 3, {"one": one, "own": 0.0}, 0.5, [], [], []
+        )
 
     assert (shared(4.0).verdict, shared(3.0).verdict, shared(-4.0).verdict) == (
         "one",
@@ -257,12 +283,15 @@ def simulate_results(drags: tuple[float, ...], number: int) -> list[SavedCharact
             check=False,
             seed=number,
         )
-        results.append(SavedCharacterization.from_dict(found.to_dict(), source=f"gel {place}"))
+        results.append(
+            SavedCharacterization.from_dict(found.to_dict(), source=f"gel {place}")
+        )
     return results
 
 
 @pytest.mark.parametrize(
-    ("truth", "drags"), [("one", (2e7,) * 3), ("own", (0.0, 2e7, 4e7)), ("none", (0.0,) * 3)]
+    ("truth", "drags"),
+    [("one", (2e7,) * 3), ("own", (0.0, 2e7, 4e7)), ("none", (0.0,) * 3)],
 )
 def test_that_simulated_laboratories_are_told_apart(truth, drags):
     """Polytropic bubbles."""

@@ -18,7 +18,9 @@ SCRIPT = ROOT / "docs" / "howto" / "slurm_batch.sh"
 BASH = shutil.which("bash")
 
 
-@pytest.mark.skipif(BASH is None or os.name != "posix", reason="job scripts are for a POSIX shell")
+@pytest.mark.skipif(
+    BASH is None or os.name != "posix", reason="job scripts are for a POSIX shell"
+)
 def test_that_the_job_script_fits_every_shot_on_the_workers(tmp_path):
     pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
     tools = tmp_path / "bin"
@@ -27,7 +29,9 @@ def test_that_the_job_script_fits_every_shot_on_the_workers(tmp_path):
     (tools / "imr-torch").write_text(
         f'#!/usr/bin/env bash\nexec "{sys.executable}" -m imr_torch "$@" {OPTIONS}\n'
     )
-    (tools / "dask").write_text(f'#!/usr/bin/env bash\nexec "{sys.executable}" -m dask "$@"\n')
+    (tools / "dask").write_text(
+        f'#!/usr/bin/env bash\nexec "{sys.executable}" -m dask "$@"\n'
+    )
     for path in tools.iterdir():
         path.chmod(0o755)
     (tmp_path / "day1").mkdir()

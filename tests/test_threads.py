@@ -22,7 +22,9 @@ def test_that_a_fit_sees_one_thread_and_the_caller_its_own():
     before = torch.get_num_threads()
     torch.set_num_threads(2)
     try:
-        fit_linear(experiments(1), Watching(), options=SearchOptions(raw_samples=8, starts=2))
+        fit_linear(
+            experiments(1), Watching(), options=SearchOptions(raw_samples=8, starts=2)
+        )
         assert (seen, torch.get_num_threads()) == ({1}, 2)
         with pytest.raises(InputDataError), one_torch_thread():
             load_traces("nowhere.csv")

@@ -20,7 +20,12 @@ import torch
 
 import imr_torch
 from imr_torch.assimilate import Point, Posterior
-from imr_torch.design import ExpectedInformationGain, Laplace, Plan, expected_information_gain
+from imr_torch.design import (
+    ExpectedInformationGain,
+    Laplace,
+    Plan,
+    expected_information_gain,
+)
 from imr_torch.material import PARAMETERS, reference_case
 from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
 from imr_torch.simulate import TransportSimulator
@@ -71,7 +76,9 @@ def traced() -> dict[str, list[Call]]:
         X[0], seed=0
     )
     posterior = Posterior(case.prior.models[0], ExperimentBatch((shot,)), simulator)
-    point = Point(torch.zeros(1, posterior.size, dtype=torch.float64), posterior.mean_nuisances(1))
+    point = Point(
+        torch.zeros(1, posterior.size, dtype=torch.float64), posterior.mean_nuisances(1)
+    )
     acquisition = ExpectedInformationGain(case.prior, simulator, estimator, plan=plan)
     return {
         "likelihood": calls(lambda: posterior.log_joint(point)),

@@ -25,7 +25,12 @@ ROOT = Path(__file__).resolve().parents[1]
 CONSTRAINTS = ROOT / "constraints.txt"
 PYTHONS = ("3.11", "3.12", "3.13", "3.14")
 """Supported versions of Python, the oldest first."""
-SYSTEMS = ("x86_64-manylinux_2_28", "aarch64-manylinux_2_28", "windows", "aarch64-apple-darwin")
+SYSTEMS = (
+    "x86_64-manylinux_2_28",
+    "aarch64-manylinux_2_28",
+    "windows",
+    "aarch64-apple-darwin",
+)
 """Systems for which PyTorch has packages, by uv's names."""
 _OLDEST_MACOS = "14.0"  # for which PyTorch has packages
 _AT_A_TIME = 4
@@ -54,7 +59,14 @@ def resolved(python: str, system: str) -> Pins:
     Raises:
         RuntimeError: with what uv says, if nothing fits together or a binary package is missing.
     """
-    where = ("--python-version", python, "--python-platform", system, "--only-binary", ":all:")
+    where = (
+        "--python-version",
+        python,
+        "--python-platform",
+        system,
+        "--only-binary",
+        ":all:",
+    )
     what = (
         "pyproject.toml",
         "--all-extras",
@@ -111,7 +123,9 @@ def problems(*, folder: Path | None = None) -> tuple[list[str], list[Pins]]:
     wrong = []
     found = []
     places = list(product(PYTHONS, SYSTEMS))
-    with ThreadPoolExecutor(_AT_A_TIME) as pool:  # they wait for the index, not for the processor
+    with ThreadPoolExecutor(
+        _AT_A_TIME
+    ) as pool:  # they wait for the index, not for the processor
         for (python, system), one in zip(places, pool.map(_tried, places), strict=True):
             if isinstance(one, RuntimeError):
                 wrong.append(f"Python {python}, {system}: {one}")
@@ -143,7 +157,10 @@ def main(argv: list[str] | None = None) -> int:
     )
     options.add_argument("--write", action="store_true", help="make constraints.txt anew")
     options.add_argument(
-        "--folder", metavar="DIR", type=Path, help="keep the lock of each Python and system here"
+        "--folder",
+        metavar="DIR",
+        type=Path,
+        help="keep the lock of each Python and system here",
     )
     args = options.parse_args(argv)
     wrong, found = problems(folder=args.folder)

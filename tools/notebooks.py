@@ -60,7 +60,9 @@ def executed(path: Path, folder: Path) -> Any:
         cell["id"] = f"cell-{number}"
         cell.metadata = {}
         if cell.cell_type == "code":
-            cell.outputs = [_without_places(x) for x in cell.outputs if x.get("name") != "stderr"]
+            cell.outputs = [
+                _without_places(x) for x in cell.outputs if x.get("name") != "stderr"
+            ]
     notebook.metadata = {
         "kernelspec": notebook.metadata["kernelspec"],
         "language_info": {"name": "python"},
@@ -70,7 +72,9 @@ def executed(path: Path, folder: Path) -> Any:
 
 def _without_places(output: Any) -> Any:
     """An output without the folders of the machine that ran it."""
-    holder, key = (output, "text") if "text" in output else (output.get("data", {}), "text/plain")
+    holder, key = (
+        (output, "text") if "text" in output else (output.get("data", {}), "text/plain")
+    )
     if key in holder:
         text = holder[key].replace(f"{TUTORIALS.parent}/", "")
         holder[key] = re.sub(rf"{re.escape(tempfile.gettempdir())}/tmp\w+/", "", text)
@@ -88,7 +92,10 @@ def reworded(path: Path) -> Any:
     script = jupytext.read(path)
     notebook = jupytext.read(path.with_suffix(".ipynb"))
     kinds = [
-        [(cell.cell_type, cell.source if cell.cell_type == "code" else "") for cell in x.cells]
+        [
+            (cell.cell_type, cell.source if cell.cell_type == "code" else "")
+            for cell in x.cells
+        ]
         for x in (script, notebook)
     ]
     if kinds[0] != kinds[1]:
@@ -112,10 +119,14 @@ def main(argv: list[str] | None = None) -> int:
         "names", nargs="*", metavar="NN", help="beginnings of names (default: all)"
     )
     options.add_argument(
-        "--check", action="store_true", help="only compare the cells of notebooks and scripts"
+        "--check",
+        action="store_true",
+        help="only compare the cells of notebooks and scripts",
     )
     options.add_argument(
-        "--words", action="store_true", help="only take over the text between the cells of code"
+        "--words",
+        action="store_true",
+        help="only take over the text between the cells of code",
     )
     args = options.parse_args(argv)
     if args.check:
@@ -143,7 +154,8 @@ def main(argv: list[str] | None = None) -> int:
         nbformat.write(notebook, path.with_suffix(".ipynb"))
         size = path.with_suffix(".ipynb").stat().st_size
         print(
-            f"{path.stem}: {time.perf_counter() - started:.0f} s, {size / 1e3:.0f} kB", flush=True
+            f"{path.stem}: {time.perf_counter() - started:.0f} s, {size / 1e3:.0f} kB",
+            flush=True,
         )
     return 0
 

@@ -77,7 +77,9 @@ def version() -> str:
     return tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
 
 
-def disagreements(stated: str, citation: str, changelog: str, *, draft: bool = False) -> list[str]:
+def disagreements(
+    stated: str, citation: str, changelog: str, *, draft: bool = False
+) -> list[str]:
     """What CITATION.cff and CHANGELOG.md say against a version; empty if they agree."""
     wrong = []
     cited = re.search(r"^version: *['\"]?([^\s'\"]+)", citation, re.MULTILINE)
@@ -103,7 +105,9 @@ def ran(*command: str | Path, cwd: Path | None = None) -> str:
     Raises:
         RuntimeError: with the end of its output, if it failed.
     """
-    done = subprocess.run([str(x) for x in command], cwd=cwd, capture_output=True, text=True)
+    done = subprocess.run(
+        [str(x) for x in command], cwd=cwd, capture_output=True, text=True
+    )
     if done.returncode != 0:
         raise RuntimeError(
             f"{' '.join(map(str, command))} ended with {done.returncode}: "
@@ -177,7 +181,9 @@ def main(argv: list[str] | None = None) -> int:
     with tempfile.TemporaryDirectory() as made:
         home = Path(made)
         dist = Path(args.dist) if args.dist else home / "dist"
-        failed = _checked("one version", lambda: disagreements(version(), *texts, draft=args.draft))
+        failed = _checked(
+            "one version", lambda: disagreements(version(), *texts, draft=args.draft)
+        )
         try:
             wheel, sdist = built(dist)
         except RuntimeError as error:

@@ -38,7 +38,9 @@ for model in MATERIALS.values():
 for name in MATERIALS["gen_qkv"].names:
     parameter = PARAMETERS[name]
     unit = "" if parameter.unit == "1" else parameter.unit
-    print(f"{name:6s} {parameter.meaning:18s} {unit:5s} does nothing at {parameter.neutral:g}")
+    print(
+        f"{name:6s} {parameter.meaning:18s} {unit:5s} does nothing at {parameter.neutral:g}"
+    )
 
 stiffening = torch.tensor([0.0, 0.25, 0.5, 1.0], dtype=torch.float64)
 gels = PARAMETERS.pack({"G": 2770.0, "mu": 0.186, "alpha": stiffening})
@@ -52,7 +54,9 @@ print("batch of parameter vectors:", tuple(gels.shape))
 # %%
 simulator = PolytropicSimulator()
 design = torch.tensor([550.0, 0.22], dtype=torch.float64)
-print(f"Rmax = {1e6 * float(simulator.conditions.surroundings.max_radius(design[0])):.0f} um")
+print(
+    f"Rmax = {1e6 * float(simulator.conditions.surroundings.max_radius(design[0])):.0f} um"
+)
 times = torch.linspace(0.0, 4.0, 401, dtype=torch.float64)
 solution = simulator(gels, design, times)
 print(solution.summary())
@@ -83,6 +87,8 @@ for name in ("fast", "default"):
 
 # %%
 count = 50 if SMOKE else 1000
-many = PARAMETERS.pack({"G": torch.linspace(500.0, 20000.0, count, dtype=torch.float64), "mu": 0.1})
+many = PARAMETERS.pack(
+    {"G": torch.linspace(500.0, 20000.0, count, dtype=torch.float64), "mu": 0.1}
+)
 result = simulator(many, design, torch.linspace(0.0, 4.0, 81, dtype=torch.float64))
 print(result.summary())

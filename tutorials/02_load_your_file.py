@@ -80,7 +80,9 @@ print("known layouts:", ", ".join(KNOWN_LAYOUTS))
 
 # %%
 try:
-    load_traces(OUT / "mine.mat", layout=Layout("Rpix", radius_unit="px", frame_interval="dt"))
+    load_traces(
+        OUT / "mine.mat", layout=Layout("Rpix", radius_unit="px", frame_interval="dt")
+    )
 except InputDataError as error:
     print("InputDataError:", error)
 
@@ -104,7 +106,12 @@ times = torch.linspace(0.0, last, 60 if SMOKE else 500, dtype=torch.float64).exp
 )
 draws = 10 if SMOKE else 100
 band = predictive_band(
-    result.assimilation, result.posterior, TransportSimulator(), best, draws=draws, times=times
+    result.assimilation,
+    result.posterior,
+    TransportSimulator(),
+    best,
+    draws=draws,
+    times=times,
 )
 low, median, high = (quantile[0] for quantile in band)
 figure, ax = plt.subplots()

@@ -30,7 +30,9 @@ OUT = Path(tempfile.mkdtemp()) if SMOKE else Path("out/03")
 # %%
 case = reference_case("stiff-pa")
 for part in case.prior.models:
-    for name, mean, sd in zip(part.names, part.means.tolist(), part.sds.tolist(), strict=True):
+    for name, mean, sd in zip(
+        part.names, part.means.tolist(), part.sds.tolist(), strict=True
+    ):
         print(
             f"{part.material.title:10s} {name:6s} {mean:10.4g} +- {sd:.3g} {PARAMETERS[name].unit}"
         )
@@ -56,11 +58,15 @@ campaign = Campaign(OUT, case.prior, simulator, settings=settings, seed=1)
 # %%
 for number in range(len(campaign.experiments) + 1, (1 if SMOKE else 2) + 1):
     proposal = campaign.ask()
-    print("shoot", settings.space.describe(proposal.design, simulator.conditions.surroundings))
+    print(
+        "shoot", settings.space.describe(proposal.design, simulator.conditions.surroundings)
+    )
     step = campaign.tell(laboratory.shoot(proposal.design, seed=child(1, "shoot", number)))
     print("  models:", {k: round(v, 4) for k, v in step.belief.probabilities.items()})
     part = step.belief["gen_qkv"]
-    for name, mean, sd in zip(part.names, part.means.tolist(), part.sds.tolist(), strict=True):
+    for name, mean, sd in zip(
+        part.names, part.means.tolist(), part.sds.tolist(), strict=True
+    ):
         print(
             f"  {name:6s} error {100 * (mean / case.truth[name] - 1):+.2f} %, posterior sd {100 * sd / case.truth[name]:.2f} %"
         )
@@ -76,4 +82,6 @@ found = again.search(1)
 if found:
     draw_information(found).figure.savefig(OUT / "information.png")
 history = [("prior", case.prior["gen_qkv"]), ("posterior", campaign.belief["gen_qkv"])]
-plot_parameter(history, "alpha", truth=case.truth["alpha"]).figure.savefig(OUT / "alpha.png")
+plot_parameter(history, "alpha", truth=case.truth["alpha"]).figure.savefig(
+    OUT / "alpha.png"
+)

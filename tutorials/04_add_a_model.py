@@ -107,10 +107,15 @@ print(register(Material("mooney", "Mooney-Rivlin KV", reference, springs)))
 # %%
 one = torch.tensor([0.7, 0.3, 0.1], dtype=torch.float64)
 theta = {"G_mooney": torch.tensor(1.0, dtype=torch.float64)}
-rest, velocity = torch.full_like(one, 0.25), torch.tensor([-1.0, 2.0, -5.0], dtype=torch.float64)
+rest, velocity = (
+    torch.full_like(one, 0.25),
+    torch.tensor([-1.0, 2.0, -5.0], dtype=torch.float64),
+)
 stress, _ = gel_response([MOONEY], one, velocity, rest, theta)
 for stretch, value in zip((one / rest).tolist(), stress.value.tolist(), strict=True):
-    expected = -quad(lambda b: 0.5 * (4.0 * b**3 - 4.0 * b**-3) / (b**3 - 1.0), 1.0, stretch)[0]
+    expected = -quad(
+        lambda b: 0.5 * (4.0 * b**3 - 4.0 * b**-3) / (b**3 - 1.0), 1.0, stretch
+    )[0]
     print(f"l = {stretch:.2f}: S = {value:+.6f}, by quadrature {expected:+.6f}")
     assert abs(value - expected) < 1e-9
 (by_radius,) = derivatives(
@@ -175,7 +180,9 @@ def fastest(G_fast: Scalar, tau_fast: Scalar) -> Scalar:
     return 1.0 / tau_fast
 
 
-FADING_SPRING = register_term(StressTerm(fading_spring, switch="G_fast", states=1, fastest=fastest))
+FADING_SPRING = register_term(
+    StressTerm(fading_spring, switch="G_fast", states=1, fastest=fastest)
+)
 
 fading = (NEWTONIAN, NEO_HOOKEAN, FADING_SPRING)
 register(Material("fading", "Fading NHKV", "this tutorial (2025)", fading))
@@ -195,14 +202,19 @@ gels = torch.stack(
 )
 design = torch.tensor([550.0, 0.22], dtype=torch.float64)
 times = torch.linspace(0.0, 2.5, 251, dtype=torch.float64)
-engine = "torchdiffeq" if SMOKE else "compiled"  # the same numbers; tensors need no compilation
+engine = (
+    "torchdiffeq" if SMOKE else "compiled"
+)  # the same numbers; tensors need no compilation
 for simulator in (
     PolytropicSimulator(),
     TransportSimulator(accuracy=ACCURACIES["fast"], engine=engine),
 ):
     solution = simulator(gels, design, times)
     assert bool(solution.ok.all())
-    smallest, rebound = solution.radius.amin(1), solution.radius[:, len(times) // 2 :].amax(1)
+    smallest, rebound = (
+        solution.radius.amin(1),
+        solution.radius[:, len(times) // 2 :].amax(1),
+    )
     print(type(simulator).__name__)
     for key, low, high in zip(
         ("nhkv", "mooney", "fading"), smallest.tolist(), rebound.tolist(), strict=True

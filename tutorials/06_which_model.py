@@ -32,7 +32,9 @@ laboratory = SimulatedLaboratory(
 designs = torch.tensor([[300.0, 0.25], [800.0, 0.17], [500.0, 0.20]], dtype=torch.float64)[
     : 2 if SMOKE else 3
 ]
-batch = ExperimentBatch(tuple(laboratory.shoot(design, seed=i) for i, design in enumerate(designs)))
+batch = ExperimentBatch(
+    tuple(laboratory.shoot(design, seed=i) for i, design in enumerate(designs))
+)
 
 # %% [markdown]
 # ## Fit, and ask each fit whether to believe it
@@ -69,7 +71,9 @@ for e in found:
     print(
         f"{e.model:10s} log evidence {e.value:9.2f} +- {e.error:.2f}  probability {posterior.probabilities[e.model]:.4f}"
     )
-print("errors of the probabilities:", {key: round(value, 4) for key, value in errors.items()})
+print(
+    "errors of the probabilities:", {key: round(value, 4) for key, value in errors.items()}
+)
 
 # %% [markdown]
 # ## Is any of them right?

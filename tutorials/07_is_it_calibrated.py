@@ -63,7 +63,8 @@ def judge(replicates):
             f"spread {test.spread:.2f}, p {test.p:.3g}"
         )
     return {
-        name: [r.reported[name] for r in replicates if r.failure is None] for name in ("G", "mu")
+        name: [r.reported[name] for r in replicates if r.failure is None]
+        for name in ("G", "mu")
     }
 
 
@@ -77,7 +78,9 @@ stated = np.array([r.probabilities["nhkv"] for r in replicates if r.failure is N
 right = np.array([r.model == "nhkv" for r in replicates if r.failure is None])
 gap = ((right - stated) * (1.0 - 2.0 * stated)).sum()  # Spiegelhalter, Stat. Med. 5 (1986)
 sd = ((1.0 - 2.0 * stated) ** 2 * stated * (1.0 - stated)).sum() ** 0.5
-print(f"Spiegelhalter's z {gap / sd:.2f}: beyond 2 in one of twenty where probabilities are right")
+print(
+    f"Spiegelhalter's z {gap / sd:.2f}: beyond 2 in one of twenty where probabilities are right"
+)
 figure, ax = plt.subplots()
 ax.plot((0, 1), (0, 1), color="grey")
 bins = np.minimum((5 * stated).astype(int), 4)
@@ -95,5 +98,7 @@ figure.savefig(OUT / "reliability.png")
 # the test says so. Before you trust a result, make sure that your check could have failed.
 
 # %%
-sure = replace(mine, learn=lambda experiments: ExperimentBatch(experiments, Noise(scale=0.5)))
+sure = replace(
+    mine, learn=lambda experiments: ExperimentBatch(experiments, Noise(scale=0.5))
+)
 places = judge(list(calibrate(sure, PolytropicSimulator(), range(count), seed=0)))

@@ -41,12 +41,20 @@ OUT.mkdir(parents=True, exist_ok=True)
 # their level. `target="model"` asks only which model is right, `target="parameters"` only for its parameters.
 
 # %%
-prior, simulator, plan = reference_case("stiff-pa").prior, PolytropicSimulator(), Plan(repeats=100)
+prior, simulator, plan = (
+    reference_case("stiff-pa").prior,
+    PolytropicSimulator(),
+    Plan(repeats=100),
+)
 space = DesignSpace(weber=(100.0, 1000.0), rest_radius=(0.14, 0.30))
 laplace = Laplace(draws=4 if SMOKE else 32)
-acquisition = ExpectedInformationGain(prior, simulator, laplace, plan=plan, space=space, seed=1)
+acquisition = ExpectedInformationGain(
+    prior, simulator, laplace, plan=plan, space=space, seed=1
+)
 
-X = torch.tensor([[[900.0, 0.28]], [[300.0, 0.20]]], dtype=torch.float64)  # batch_shape x q x 2
+X = torch.tensor(
+    [[[900.0, 0.28]], [[300.0, 0.20]]], dtype=torch.float64
+)  # batch_shape x q x 2
 print("gain in nats:", acquisition(X).tolist())
 gain = acquisition.estimate(X[0])
 print(
@@ -115,7 +123,9 @@ pair = search_design(
     acquisition, seed=0, q=2, evaluations=5 if SMOKE else 15, initial=4 if SMOKE else 8
 )
 for design, nats in zip(pair.chosen, pair.increments, strict=True):
-    print(f"{space.describe(design, simulator.conditions.surroundings)} adds {nats:.2f} nats")
+    print(
+        f"{space.describe(design, simulator.conditions.surroundings)} adds {nats:.2f} nats"
+    )
 
 # %% [markdown]
 # ## An estimator of your own

@@ -36,7 +36,9 @@ SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
 # %%
 simulator = PolytropicSimulator()
 experiments = prepare(load_traces(example_gel())).experiments
-batch = ExperimentBatch(experiments[:2] if SMOKE else experiments, Noise(scale=0.2, floor=0.015))
+batch = ExperimentBatch(
+    experiments[:2] if SMOKE else experiments, Noise(scale=0.2, floor=0.015)
+)
 prior = wide_prior(("nhkv",))
 
 # %% [markdown]
@@ -56,7 +58,9 @@ ensemble = assimilate_en4dvar(prior, batch, simulator, seed=0)
 def tell(name, result):
     part = weigh(result, simulator, seed=1).fits[0].posterior
     words = []
-    for parameter, mean, sd in zip(part.names, part.means.tolist(), part.sds.tolist(), strict=True):
+    for parameter, mean, sd in zip(
+        part.names, part.means.tolist(), part.sds.tolist(), strict=True
+    ):
         entry = PARAMETERS[parameter]
         words.append(
             f"{entry.display_scale * mean:.4g} +- {entry.display_scale * sd:.2g} {entry.display_unit or entry.unit}"

@@ -60,7 +60,11 @@ found["1070 +- 20"] = [1e-3 * x for x in intervals(honest.posterior.best)["G"]]
 low, middle, high = found["1070 +- 20"]
 print(f"1070 +- 20: G = {middle:.2f} kPa (90 %: {low:.2f} to {high:.2f})")
 print(
-    "\n".join(line.strip() for line in honest.report().splitlines() if "density was stated" in line)
+    "\n".join(
+        line.strip()
+        for line in honest.report().splitlines()
+        if "density was stated" in line
+    )
 )
 
 # %%

@@ -84,14 +84,21 @@ print(", ".join(rows[0]))
 # Modulus by shot, with 90 % intervals, and the truth. Shot 9 is a copy of shot 1.
 
 # %%
-low, middle, high = ([1e-3 * float(row[name]) for row in rows] for name in ("G_low", "G", "G_high"))
+low, middle, high = (
+    [1e-3 * float(row[name]) for row in rows] for name in ("G_low", "G", "G_high")
+)
 errors = [
     [m - a for m, a in zip(middle, low, strict=True)],
     [b - m for m, b in zip(middle, high, strict=True)],
 ]
 figure, ax = plt.subplots(figsize=(5.2, 3.2), layout="constrained")
 ax.errorbar(
-    [row["shot"] for row in rows], middle, errors, fmt="o", color="#0072B2", label="inferred, 90 %"
+    [row["shot"] for row in rows],
+    middle,
+    errors,
+    fmt="o",
+    color="#0072B2",
+    label="inferred, 90 %",
 )
 ax.plot(
     [f"shot_{number + 1}" for number in range(shots)],

@@ -42,7 +42,9 @@ def shots_of(scatter):
         scatter * torch.randn(count, generator=generator(5), dtype=torch.float64)
     )
     shots = []
-    for number, (design, modulus) in enumerate(zip(designs, moduli.tolist(), strict=True), start=1):
+    for number, (design, modulus) in enumerate(
+        zip(designs, moduli.tolist(), strict=True), start=1
+    ):
         laboratory = SimulatedLaboratory(
             simulator, PARAMETERS.pack({"G": modulus, "mu": 0.09}), repeats=2
         )
@@ -102,7 +104,9 @@ for ax, (name, found) in zip(axes, populations.items(), strict=True):
             color=MODEL,
             label="given all",
         )
-    ax.plot(1e-3 * gels[name][1], range(count), "|", color=TRUTH, markersize=14, label="truth")
+    ax.plot(
+        1e-3 * gels[name][1], range(count), "|", color=TRUTH, markersize=14, label="truth"
+    )
     ax.set(
         title=name,
         xlabel="G (kPa)",

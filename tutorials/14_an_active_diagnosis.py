@@ -32,7 +32,9 @@ HOME = tempfile.mkdtemp()
 
 # %%
 simulator = PolytropicSimulator()
-plan = Plan(times=torch.linspace(0.0, 2.5, 51, dtype=torch.float64), repeats=3, collapses=None)
+plan = Plan(
+    times=torch.linspace(0.0, 2.5, 51, dtype=torch.float64), repeats=3, collapses=None
+)
 truth = PARAMETERS.pack({"G": 8000.0, "mu": 0.08, "damage": 0.02})
 laboratory = SimulatedLaboratory(simulator, truth, times=plan.times, repeats=plan.repeats)
 causes = ("damage", "strain_stiffening", "sound_speed") + (
@@ -47,7 +49,9 @@ causes = ("damage", "strain_stiffening", "sound_speed") + (
 # %%
 learner = CauseLearner(causes)
 policy = TellCausesApart(learner, designs=4 if SMOKE else 16, draws=4 if SMOKE else 16)
-settings = CampaignSettings(plan=plan, policy=policy, learner=learner, stop=CauseProbability(0.8))
+settings = CampaignSettings(
+    plan=plan, policy=policy, learner=learner, stop=CauseProbability(0.8)
+)
 campaign = Campaign(HOME, wide_prior(["nhkv"]), simulator, settings=settings, seed=1)
 
 # %%
@@ -76,7 +80,9 @@ for number in range(1, (1 if SMOKE else 6) + 1):
 
 # %%
 ax = plot_causes(finding.probabilities) if finding.probabilities else None
-print(f"verdict: {finding.verdict}, {', '.join(finding.causes) or 'no cause'}. {finding.reason}")
+print(
+    f"verdict: {finding.verdict}, {', '.join(finding.causes) or 'no cause'}. {finding.reason}"
+)
 
 # %% [markdown]
 # G and mu are inferred beside the cause. Without it they would have hidden a part of it.

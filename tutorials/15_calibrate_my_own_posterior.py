@@ -31,7 +31,9 @@ SMOKE = os.environ.get("IMR_TORCH_SMOKE") == "1"
 prior = Belief.prior({"nhkv": {"G": LogNormal(8e3, 1.3), "mu": LogNormal(0.1, 1.3)}})
 part = prior["nhkv"]
 simulator = PolytropicSimulator()
-plan = Plan(times=torch.linspace(0.0, 2.5, 51, dtype=torch.float64), repeats=1, collapses=None)
+plan = Plan(
+    times=torch.linspace(0.0, 2.5, 51, dtype=torch.float64), repeats=1, collapses=None
+)
 arrangement = Arrangement(prior, designs=((400.0, 0.22),), plan=plan)
 count = 12 if SMOKE else 200
 

@@ -42,7 +42,9 @@ for number in range(2 if SMOKE else 8):
         f"{1e6 * t:.2f},{300.0 * r:.3f}"
         for t, r in zip(times.tolist(), radius.tolist(), strict=True)
     ]
-    (HOME / "day1" / f"shot_{number + 1}.csv").write_text("time (us),R (um)\n" + "\n".join(lines))
+    (HOME / "day1" / f"shot_{number + 1}.csv").write_text(
+        "time (us),R (um)\n" + "\n".join(lines)
+    )
 
 # %% [markdown]
 # ## A cluster
@@ -53,7 +55,12 @@ for number in range(2 if SMOKE else 8):
 # %%
 from distributed import Client, LocalCluster
 
-place = {"n_workers": 2, "threads_per_worker": 1, "processes": not SMOKE, "dashboard_address": None}
+place = {
+    "n_workers": 2,
+    "threads_per_worker": 1,
+    "processes": not SMOKE,
+    "dashboard_address": None,
+}
 cluster = LocalCluster(host="127.0.0.1", protocol="tcp://", **place)
 client = Client(cluster)
 print(f"{len(client.scheduler_info()['workers'])} workers")
@@ -69,7 +76,11 @@ options = BatchOptions(
 )
 with client.get_executor() as executor:
     summary = run_batch(
-        HOME / "day1", folder=HOME / "results", options=options, executor=executor, window=64
+        HOME / "day1",
+        folder=HOME / "results",
+        options=options,
+        executor=executor,
+        window=64,
     )
 print(summary.report())
 for row in summary.rows:

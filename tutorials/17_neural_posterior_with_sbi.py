@@ -43,7 +43,11 @@ prior, simulator = sbi_simulator(part, bubbles, design[None], times, seed=0)
 torch.manual_seed(0)
 theta = prior.sample((200 if SMOKE else 10000,))
 x = simulator(theta)
-print(theta.shape, x.shape, f"{int(torch.isnan(x).any(1).sum())} of {len(x)} could not be solved")
+print(
+    theta.shape,
+    x.shape,
+    f"{int(torch.isnan(x).any(1).sum())} of {len(x)} could not be solved",
+)
 
 # %% [markdown]
 # ## Train
@@ -74,7 +78,11 @@ laboratory = SimulatedLaboratory(bubbles, PARAMETERS.pack(truth), times=times, r
 experiment = laboratory.shoot(design, seed=1)
 options = SearchOptions(raw_samples=32, starts=2) if SMOKE else None
 fit = assimilate(
-    belief, ExperimentBatch((experiment,), laboratory.noise), bubbles, seed=1, options=options
+    belief,
+    ExperimentBatch((experiment,), laboratory.noise),
+    bubbles,
+    seed=1,
+    options=options,
 )["nhkv"]
 levels = torch.tensor([0.05, 0.5, 0.95], dtype=torch.float64)
 neural, fitted = (

@@ -42,4 +42,6 @@ with (FOLDER / "example_gel.csv").open("w", newline="") as stream:
             "Rinf_settled": True,
         }
         measured.append(entry | {"Rinf_tail_std_m": 0.01 * rest * max_radius})
-write_json(FOLDER / "example_gel.json", {"material": "synthetic NHKV gel", "experiments": measured})
+write_json(
+    FOLDER / "example_gel.json", {"material": "synthetic NHKV gel", "experiments": measured}
+)

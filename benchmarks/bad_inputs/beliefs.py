@@ -35,13 +35,19 @@ def beliefs(belief: dict[str, Any]) -> Iterator[Case]:
     for path in leaves(belief):
         for value in (NAN, None, "x", [], {"a": 1}, INF):
             old = at(belief, path)
-            if isinstance(old, str) and value == "x" and path[-1] not in ("model", "kind", "name"):
+            if (
+                isinstance(old, str)
+                and value == "x"
+                and path[-1] not in ("model", "kind", "name")
+            ):
                 continue
             if (old is None and value is None) or (
                 path[0] == "log_probabilities" and value is None
             ):  # null is none at all
                 continue
-            yield case(f"{'.'.join(map(str, path))} {value!r}", replaced(belief, path, value))
+            yield case(
+                f"{'.'.join(map(str, path))} {value!r}", replaced(belief, path, value)
+            )
     for key in belief:
         yield case(f"without {key}", {k: v for k, v in belief.items() if k != key})
         yield case(f"empty {key}", belief | {key: []})
@@ -50,7 +56,11 @@ def beliefs(belief: dict[str, Any]) -> Iterator[Case]:
 def leaves(document: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     """Paths of all values of a JSON document, of lists the first alone."""
     if isinstance(document, dict) and document:
-        return [found for key, value in document.items() for found in leaves(value, (*path, key))]
+        return [
+            found
+            for key, value in document.items()
+            for found in leaves(value, (*path, key))
+        ]
     if isinstance(document, list) and document:
         return leaves(document[0], (*path, 0))
     return [path]

@@ -70,7 +70,9 @@ def table(
     """
 
     def make(here: Path) -> None:
-        (here / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+        (here / name).write_bytes(
+            content if isinstance(content, bytes) else content.encode()
+        )
         if sidecar is not False:
             said = beside() if sidecar is None else sidecar
             text = said if isinstance(said, str) else json.dumps(said)

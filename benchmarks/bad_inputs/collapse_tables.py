@@ -28,9 +28,33 @@ def collapse_tables() -> Iterator[Case]:
     plain = [",".join(row) for row in ROWS]
     for column, values in {
         0: ("", " ", "b"),
-        1: ("", "nan", "inf", "0", "-2.5e-4", "x", "250", "2.5e-1", "2.5e-9", "1e400", "2,5e-4"),
+        1: (
+            "",
+            "nan",
+            "inf",
+            "0",
+            "-2.5e-4",
+            "x",
+            "250",
+            "2.5e-1",
+            "2.5e-9",
+            "1e400",
+            "2,5e-4",
+        ),
         2: ("", "nan", "inf", "0", "-5", "x", "0.2", "1", "1e6"),
-        3: ("", "nan", "inf", "0", "-2e-5", "x", "24.5", "2.45e-2", "2.45e-8", "2.45e-4", "1e-400"),
+        3: (
+            "",
+            "nan",
+            "inf",
+            "0",
+            "-2e-5",
+            "x",
+            "24.5",
+            "2.45e-2",
+            "2.45e-8",
+            "2.45e-4",
+            "1e-400",
+        ),
     }.items():
         for value in values:
             name = f"{HEAD.split(',')[column]} {value!r}"
@@ -76,7 +100,10 @@ def collapse_tables() -> Iterator[Case]:
     for about, words in (
         (no_curves, ("diagnose", "times.csv", *QUICK)),
         ("shots", ("batch", "times.csv", "--out", "{here}/out", "--workers", "1", *QUICK)),
-        (no_curves, ("campaign", *MODELS, "--out", "{here}/gel", "--tell", "times.csv", *QUICK)),
+        (
+            no_curves,
+            ("campaign", *MODELS, "--out", "{here}/gel", "--tell", "times.csv", *QUICK),
+        ),
     ):
         yield Case("times", f"for {words[0]}", words, about, whole)
 

@@ -51,7 +51,8 @@ def tables() -> Iterator[Case]:
         "shell": "#!/bin/sh\nrm -rf x\n",
         "one column": "R (um)\n" + lines(lambda i: f"{250 - i}", 30),
         "no units": "t,R\n" + lines(lambda i: f"{i},{250 - i}", 30),
-        "columns swapped in the header": "experiment_id,radius_m,time_s\n" + text_of(example()[1:]),
+        "columns swapped in the header": "experiment_id,radius_m,time_s\n"
+        + text_of(example()[1:]),
         "two columns named alike": "experiment_id,time_s,radius_m,radius_m\n"
         + lines(lambda i: f"a,{i}e-6,1e-4,1e-4"),
         "time twice": "time_s,time_s,radius_m\n" + lines(lambda i: f"{i}e-6,{i}e-6,1e-4"),
@@ -62,7 +63,9 @@ def tables() -> Iterator[Case]:
         "a million columns": ",".join(f"c{i}" for i in range(200_000)) + "\n",
         "field too long": "experiment_id,time_s,radius_m\na,0," + "1" * 200_000 + "\n",
         "unbalanced quote": text_of(example()).replace("shot_1", '"shot_1', 1),
-        "quotes inside a number": text_of(example()).replace("2.49666e-04", '2."49666"e-04'),
+        "quotes inside a number": text_of(example()).replace(
+            "2.49666e-04", '2."49666"e-04'
+        ),
         "latin-1": text_of(example()).replace("shot_1", "schu\xdf").encode("latin-1"),
         "old Mac lines with blanks": text_of(example()).replace("\n", "\r\r"),
         "tabs in half of the rows": "".join(
@@ -121,34 +124,55 @@ def tables() -> Iterator[Case]:
     yield case("one frame twice as large", cell(30, 2, "5e-4"))
     no_rest = {"experiments": [{"experiment_id": "shot_1"}]}
     yield case(
-        "no rest radius in a short record", changed(lambda r: r[:24], sidecar=no_rest), about="gel"
+        "no rest radius in a short record",
+        changed(lambda r: r[:24], sidecar=no_rest),
+        about="gel",
     )
     yield case("some frames missing", cell(10, 2, "nan"), warned="row(s) 11")
     yield case("lost frames as empty", cell(10, 2, ""), warned="row(s) 11")
-    yield case("Windows lines", table(text_of(example()).replace("\n", "\r\n")), warned="shot_1")
-    yield case("mark before the header", table("\ufeff" + text_of(example())), warned="shot_1")
+    yield case(
+        "Windows lines", table(text_of(example()).replace("\n", "\r\n")), warned="shot_1"
+    )
+    yield case(
+        "mark before the header", table("\ufeff" + text_of(example())), warned="shot_1"
+    )
     yield case("UTF-16", table(text_of(example()).encode("utf-16")), warned="shot_1")
     yield case(
-        "quoted ids", table(text_of(example()).replace("shot_1", '"shot_1"')), warned="shot_1"
+        "quoted ids",
+        table(text_of(example()).replace("shot_1", '"shot_1"')),
+        warned="shot_1",
     )
 
 
 def scales() -> Iterator[Case]:
     """Curves in another unit than they say."""
 
-    def case(name: str, make: Callable[[Path], object], about: str = "shot_1", **more: Any) -> Case:
+    def case(
+        name: str, make: Callable[[Path], object], about: str = "shot_1", **more: Any
+    ) -> Case:
         return Case("scale", name, FIT, about, make, **more)
 
     units = {"um": 1e6, "mm": 1e3, "cm": 1e2, "nm": 1e9, "tenth": 0.1, "hundredth": 0.01}
     for name, factor in units.items():
         yield case(f"radius in {name}", scaled(2, by=factor))
-    units = {"ms": 1e3, "us": 1e6, "ns": 1e9, "ten times": 10.0, "a tenth": 0.1, "hundredth": 0.01}
+    units = {
+        "ms": 1e3,
+        "us": 1e6,
+        "ns": 1e9,
+        "ten times": 10.0,
+        "a tenth": 0.1,
+        "hundredth": 0.01,
+    }
     for name, factor in units.items():
         yield case(f"time in {name}", scaled(1, by=factor))
-    yield case("diameters", scaled(2, by=2.0, sidecar=beside(Rinf_m=8.5e-5)), warned="aution")
+    yield case(
+        "diameters", scaled(2, by=2.0, sidecar=beside(Rinf_m=8.5e-5)), warned="aution"
+    )
     yield case("both in um and us", scaled(1, 2, by=1e6))
     yield case("time negative", scaled(1, by=-1.0))
-    yield case("shifted by half a record", changed(lambda r: [r[0], *r[40:]]), warned="aution")
+    yield case(
+        "shifted by half a record", changed(lambda r: [r[0], *r[40:]]), warned="aution"
+    )
     for field_, value in (
         ("Rmax_m", 385.0), ("Rmax_m", 2.5e-2), ("Rmax_m", 1e-5), ("Rmax_m", 0.0), ("Rmax_m", -1e-4), ("Rmax_m", 5e-4),
         ("Rmax_m", 1.2e-4), ("Rinf_m", 42.0), ("Rinf_m", 5e-8), ("Rinf_m", 0.0), ("Rinf_m", -4e-5), ("Rinf_m", 2.5e-4),

@@ -11,7 +11,9 @@ def sidecars() -> Iterator[Case]:
     """JSON files beside a table."""
 
     def case(name: str, sidecar: Any, about: str = "gel.json", **more: Any) -> Case:
-        return Case("sidecar", name, FIT, about, table(text_of(example()), sidecar=sidecar), **more)
+        return Case(
+            "sidecar", name, FIT, about, table(text_of(example()), sidecar=sidecar), **more
+        )
 
     for name, text in {
         "empty": "", "not JSON": "{experiments", "a list": "[1, 2]", "a number": "5", "null": "null", "a string": '"x"',
@@ -42,11 +44,22 @@ def sidecars() -> Iterator[Case]:
         "exposure a text": beside() | {"exposure_s": "200 ns"},
     }.items():
         yield case(name, document)
-    for name in ("Rmax_m", "Rinf_m", "t_Rmax_s", "Rinf_sd_m", "Rmax_sd_m", "Rinf_tail_std_m"):
+    for name in (
+        "Rmax_m",
+        "Rinf_m",
+        "t_Rmax_s",
+        "Rinf_sd_m",
+        "Rmax_sd_m",
+        "Rinf_tail_std_m",
+    ):
         for value in ("2.5e-4", True, [2.5e-4], {"value": 1}, NAN, INF):
             yield case(f"{name} {value!r}", beside(**{name: value}))
-    yield case("exposure longer than a frame", beside() | {"exposure_s": 1.0}, about="exposure_s")
-    yield case("frame rate another", beside() | {"frame_rate_fps": 2.5e5}, warned="frame_rate_fps")
+    yield case(
+        "exposure longer than a frame", beside() | {"exposure_s": 1.0}, about="exposure_s"
+    )
+    yield case(
+        "frame rate another", beside() | {"frame_rate_fps": 2.5e5}, warned="frame_rate_fps"
+    )
     for value in ("false", 1, 0, [], "yes"):
         yield case(f"Rinf_settled {value!r}", beside(Rinf_settled=value))
 
@@ -77,5 +90,9 @@ def layouts() -> Iterator[Case]:
         "radius=*,radius_unit=um,time=t,time_unit=us,experiment=R": "radius=*",
     }.items():  # fmt: skip
         yield Case(
-            "layout", text or "empty", (*FIT, "--layout", text), about, table(plain, sidecar=alone)
+            "layout",
+            text or "empty",
+            (*FIT, "--layout", text),
+            about,
+            table(plain, sidecar=alone),
         )

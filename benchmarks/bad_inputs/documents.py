@@ -28,7 +28,12 @@ def results(result: Path) -> Iterator[Case]:
             else ("a.json", "b.json")
         )
         return Case(
-            "result", f"{command} {name}", (command, *files, "--quiet"), "a.json", make, **more
+            "result",
+            f"{command} {name}",
+            (command, *files, "--quiet"),
+            "a.json",
+            make,
+            **more,
         )
 
     for command in ("plot", "compare"):
@@ -49,13 +54,19 @@ def results(result: Path) -> Iterator[Case]:
             if command == "compare"
             else ("belief", "models", "curves", "model_probabilities", "prior", "schema")
         ):
-            yield case(command, f"without {key}", {k: v for k, v in document.items() if k != key})
+            yield case(
+                command, f"without {key}", {k: v for k, v in document.items() if k != key}
+            )
             for value in (None, 5, "x", []):
                 yield case(command, f"{key} {value!r}", document | {key: value})
         yield case(command, "each", {"schema": document["schema"], "each": {"a": 5}})
-    yield case("plot", "version 99", document | {"schema": document["schema"] | {"version": 99}})
     yield case(
-        "plot", "version a text", document | {"schema": document["schema"] | {"version": "1"}}
+        "plot", "version 99", document | {"schema": document["schema"] | {"version": 99}}
+    )
+    yield case(
+        "plot",
+        "version a text",
+        document | {"schema": document["schema"] | {"version": "1"}},
     )
     curve = document["curves"][0]
     for key in curve:
@@ -66,11 +77,14 @@ def results(result: Path) -> Iterator[Case]:
             f"curve without {key}",
             document | {"curves": [{k: v for k, v in curve.items() if k != key}]},
         )
-        yield case("plot", f"curve {key} null", document | {"curves": [curve | {key: None}]})
+        yield case(
+            "plot", f"curve {key} null", document | {"curves": [curve | {key: None}]}
+        )
     yield case(
         "plot",
         "curve measured of two lengths",
-        document | {"curves": [curve | {"measured": curve["measured"] | {"R_star": [1.0]}}]},
+        document
+        | {"curves": [curve | {"measured": curve["measured"] | {"R_star": [1.0]}}]},
     )
     for option, about in (
         ("--format=", "--format"),
@@ -79,7 +93,9 @@ def results(result: Path) -> Iterator[Case]:
         ("--html={here}", "--html"),
     ):
         make = lambda here: shutil.copy(result, here / "b.json")  # noqa: E731
-        yield Case("result", f"plot {option}", ("plot", "b.json", "--quiet", option), about, make)
+        yield Case(
+            "result", f"plot {option}", ("plot", "b.json", "--quiet", option), about, make
+        )
     yield Case(
         "result",
         "compare --model x",

@@ -15,7 +15,15 @@ from tests.journals import rewritten
 
 def journals(whole: Path) -> Iterator[Case]:
     """Folders of campaigns; ``whole`` is a good one."""
-    words = ["--policy", "space-filling", "--repeats", "1", "--out", "{here}/gel", "--resume"]
+    words = [
+        "--policy",
+        "space-filling",
+        "--repeats",
+        "1",
+        "--out",
+        "{here}/gel",
+        "--resume",
+    ]
     base = ("campaign", *MODELS, *words, *QUICK)
     lines = (whole / "journal.jsonl").read_bytes().splitlines(keepends=True)
 
@@ -39,7 +47,9 @@ def journals(whole: Path) -> Iterator[Case]:
     for number in range(len(lines)):
         if number + 1 < len(lines):  # lines removed at the end are not noticed
             others = lines[:number] + lines[number + 1 :]
-            yield case(f"without line {number + 1}", content("journal.jsonl", b"".join(others)))
+            yield case(
+                f"without line {number + 1}", content("journal.jsonl", b"".join(others))
+            )
         yield case(
             f"line {number + 1} twice",
             content("journal.jsonl", b"".join(lines[: number + 1] + lines[number:])),
@@ -47,7 +57,9 @@ def journals(whole: Path) -> Iterator[Case]:
         edited = lines[number].replace(b'"event"', b'"Event"', 1)
         yield case(
             f"line {number + 1} edited",
-            content("journal.jsonl", b"".join([*lines[:number], edited, *lines[number + 1 :]])),
+            content(
+                "journal.jsonl", b"".join([*lines[:number], edited, *lines[number + 1 :]])
+            ),
         )
         for text in (
             b"5\n",
@@ -65,7 +77,9 @@ def journals(whole: Path) -> Iterator[Case]:
         ):
             yield case(
                 f"line {number + 1} {text[:16]!r}",
-                content("journal.jsonl", b"".join([*lines[:number], text, *lines[number + 1 :]])),
+                content(
+                    "journal.jsonl", b"".join([*lines[:number], text, *lines[number + 1 :]])
+                ),
             )
     yield case("lines reversed", content("journal.jsonl", b"".join(reversed(lines))))
     yield case("empty journal", content("journal.jsonl", b""))
@@ -80,10 +94,15 @@ def journals(whole: Path) -> Iterator[Case]:
     yield case("curve empty", content(curve, b""), about=curve)
     yield case("curve cut", content(curve, (whole / curve).read_bytes()[:100]), about=curve)
     yield case(
-        "curve another", lambda gel: np.savez(gel / curve, times=[0.0], radius=[[1.0]]), about=curve
+        "curve another",
+        lambda gel: np.savez(gel / curve, times=[0.0], radius=[[1.0]]),
+        about=curve,
     )
     yield case(
-        "not resumed", lambda gel: None, "--resume", tuple(x for x in base if x != "--resume")
+        "not resumed",
+        lambda gel: None,
+        "--resume",
+        tuple(x for x in base if x != "--resume"),
     )
     yield case("another seed", lambda gel: None, arguments=(*base, "--seed", "3"))
     yield case(
@@ -116,7 +135,11 @@ def journals(whole: Path) -> Iterator[Case]:
                     or (value == -7 and isinstance(old, int | float))
                 ):
                     continue
-                new = [*events[:number], replaced(event, path, value), *events[number + 1 :]]
+                new = [
+                    *events[:number],
+                    replaced(event, path, value),
+                    *events[number + 1 :],
+                ]
                 soft = path[0] in (
                     "certificates",
                     "gaussian_answer",

@@ -16,7 +16,10 @@ def archive(**arrays: Any) -> Callable[[Path], object]:
     times = np.linspace(0.0, 80e-6, 41)
     sizes = (2.5e-4, 2.6e-4)
     radius = np.stack(
-        [[size * np.abs(np.cos(times / 25e-6)).clip(0.2) for _ in range(2)] for size in sizes]
+        [
+            [size * np.abs(np.cos(times / 25e-6)).clip(0.2) for _ in range(2)]
+            for size in sizes
+        ]
     )
     whole = {
         "time_s": np.stack([times, times]),
@@ -28,7 +31,8 @@ def archive(**arrays: Any) -> Callable[[Path], object]:
 
     def make(here: Path) -> None:
         np.savez(
-            here / "set.npz", **{name: value for name, value in whole.items() if value is not None}
+            here / "set.npz",
+            **{name: value for name, value in whole.items() if value is not None},
         )
 
     return make
@@ -76,11 +80,14 @@ def sets() -> Iterator[Case]:
     def bomb(here: Path) -> None:
         archive()(here)
         with zipfile.ZipFile(here / "set.npz", "w", zipfile.ZIP_DEFLATED) as target:
-            header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (10000000000000,), }"
+            header = (
+                b"{'descr': '<f8', 'fortran_order': False, 'shape': (10000000000000,), }"
+            )
             header += b" " * (118 - len(header)) + b"\n"
             for name in whole:
                 target.writestr(
-                    f"{name}.npy", b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header
+                    f"{name}.npy",
+                    b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header,
                 )
 
     yield Case("set", "empty file", base, "set.npz", raw(b""))
@@ -88,7 +95,9 @@ def sets() -> Iterator[Case]:
     yield Case("set", "empty archive", base, "set.npz", raw(b"PK\5\6" + b"\0" * 18))
     yield Case("set", "declares 73 TiB", base, "set.npz", bomb)
     yield Case("set", "missing", base, "set.npz")
-    yield Case("set", "is a folder", base, "set.npz", lambda here: (here / "set.npz").mkdir())
+    yield Case(
+        "set", "is a folder", base, "set.npz", lambda here: (here / "set.npz").mkdir()
+    )
     yield Case(
         "set",
         "beside a table",
@@ -104,7 +113,11 @@ def sets() -> Iterator[Case]:
         }[name]
         make = lambda here, arrays=arrays: np.savez(here / "gel.npz", **arrays)  # noqa: E731
         yield Case(
-            "set", f"curve {name}", ("characterize", "gel.npz", *MODELS, *QUICK), "gel.npz", make
+            "set",
+            f"curve {name}",
+            ("characterize", "gel.npz", *MODELS, *QUICK),
+            "gel.npz",
+            make,
         )
     for suffix, content in (
         (".mat", b"MATLAB 5.0 MAT-file" + b"\0" * 200),

@@ -56,7 +56,9 @@ def stated() -> Iterator[Case]:
     """What is stated, by option, beside a file or in a MATLAB table."""
     for text, about in MEDIA.items():
         for name, command in COMMANDS.items():
-            yield Case("stated", f"{name} {text}", (*command, f"--medium={text}"), about, good)
+            yield Case(
+                "stated", f"{name} {text}", (*command, f"--medium={text}"), about, good
+            )
     for name in OVERRIDES:
         for value in ("2e-4", True, [2e-4], -1e-4, NAN, INF, 1.0):
             if (name, value) == ("window_end_s", 1.0):

@@ -41,7 +41,14 @@ def targets() -> Iterator[Case]:
     campaign = ("campaign", *MODELS, "--out", "{here}/file", *QUICK)
     yield Case("target", "campaign --out a file", campaign, "--out", make)
     for name, option, *places in (
-        ("same file for --json and --html", "--html", "--json", "{here}/a", "--html", "{here}/a"),
+        (
+            "same file for --json and --html",
+            "--html",
+            "--json",
+            "{here}/a",
+            "--html",
+            "{here}/a",
+        ),
         ("--json over the data", "--json", "--json", "{here}/gel.csv"),
         ("--json over the JSON beside", "--json", "--json", "{here}/gel.json"),
         ("--html over the data", "--html", "--html", "{here}/gel.csv"),

@@ -58,7 +58,9 @@ def without_fits() -> Iterator[None]:
             ("imr_torch.cli.diagnose", "diagnose"),
             ("imr_torch.cli.design", "search_design"),
         ):
-            stack.enter_context(mock.patch.object(importlib.import_module(module), name, _stop))
+            stack.enter_context(
+                mock.patch.object(importlib.import_module(module), name, _stop)
+            )
         stack.enter_context(mock.patch("imr_torch.cli.options.entry_points", _entry_points))
         stack.enter_context(mock.patch.object(Campaign, "learn_outstanding", _stop))
         stack.enter_context(mock.patch.object(Campaign, "ask_several", _stop))
@@ -110,7 +112,13 @@ def tried(case: Case, home: Path) -> Outcome:
 
 
 def _verdict(
-    case: Case, code: int, reached: bool, crashed: str, said: str, printed: str, seconds: float
+    case: Case,
+    code: int,
+    reached: bool,
+    crashed: str,
+    said: str,
+    printed: str,
+    seconds: float,
 ) -> str:
     if crashed or "Traceback" in said:
         return "traceback"
@@ -125,5 +133,9 @@ def _verdict(
     if reached or code == 0:
         return "handled" if case.damaged else "accepted"
     one_line = said.startswith("imr-torch: ") and said.count("\n") == 1
-    clear = code in case.status and (one_line or said.startswith("usage:")) and case.about in said
+    clear = (
+        code in case.status
+        and (one_line or said.startswith("usage:"))
+        and case.about in said
+    )
     return "handled" if clear else "unclear"

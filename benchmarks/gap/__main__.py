@@ -63,7 +63,9 @@ def main() -> None:
     commands = parser.add_subparsers(dest="command", required=True)
     runs = commands.add_parser("run", help="every path, one after the other")
     runs.add_argument("folder", type=Path)
-    runs.add_argument("--seed", type=int, default=80000, help="sets that were not used before")
+    runs.add_argument(
+        "--seed", type=int, default=80000, help="sets that were not used before"
+    )
     runs.add_argument("--labelled", type=Path, help="folder of sets of a separate program")
     runs.add_argument("--measured", type=Path, help="folder of measured curves")
     commands.add_parser("versions", help="which code made each record")
@@ -72,7 +74,9 @@ def main() -> None:
         for name, module, arguments in list_commands(args):
             out = str(args.folder / f"{name}.jsonl")
             given = [out if word == "OUT" else word for word in arguments]
-            subprocess.run([sys.executable, "-m", f"benchmarks.{module}", *given], check=True)
+            subprocess.run(
+                [sys.executable, "-m", f"benchmarks.{module}", *given], check=True
+            )
         print(write_versions(args.folder))
     else:
         print(write_versions())

@@ -129,7 +129,9 @@ def parameters_of(effect: str, strength: float, weber: float) -> dict[str, float
     }.get(effect, {})
 
 
-def film_dense(effect: str, strength: float, radius: Tensor, weber: float, every: int) -> Tensor:
+def film_dense(
+    effect: str, strength: float, radius: Tensor, weber: float, every: int
+) -> Tensor:
     """A dense true curve as a camera films it that takes each so many-th sample.
 
     A frame is dropped before the last ``strength`` ones; the edge drifts by ``strength`` in um a
@@ -182,5 +184,7 @@ def compare_shots(
     """The true missing pressure beside the inferred one."""
     register_closures()
     pairs = zip(gels, designs, strict=True)
-    truths = [{**gel, **parameters_of(effect, strength, design[0])} for gel, design in pairs]
+    truths = [
+        {**gel, **parameters_of(effect, strength, design[0])} for gel, design in pairs
+    ]
     return compare_pressures(designs, truths, fitted, shots, Surroundings())

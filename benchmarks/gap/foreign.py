@@ -47,7 +47,13 @@ from benchmarks.gap.unknown import (
     values_of,
 )
 from benchmarks.gap.verdicts import is_named, summarise
-from benchmarks.records import Line, read_record, run_missing_jobs, start_commands, write_table
+from benchmarks.records import (
+    Line,
+    read_record,
+    run_missing_jobs,
+    start_commands,
+    write_table,
+)
 from imr_torch.design import Plan
 from imr_torch.float64 import tensor, zeros
 from imr_torch.gap import GapReport, diagnose
@@ -84,14 +90,19 @@ def judge_set(path: str, effect: str, physics: str, number: int) -> Line:
         drag = LIBRARY["size_drag"]
         clean = truth.film(truth.fits, zeros(SHOTS, 3))
         left = [
-            refit(gel, clean, truth.plan, truth.fits, rival=(drag, start)) for start in drag.starts
+            refit(gel, clean, truth.plan, truth.fits, rival=(drag, start))
+            for start in drag.starts
         ]
         line["beside_drag"] = min(left)
     started = time.process_time()
-    report = diagnose(experiments, estimate_noise=path == "single", simulator=truth.fits, seed=seed)
+    report = diagnose(
+        experiments, estimate_noise=path == "single", simulator=truth.fits, seed=seed
+    )
     line |= {"seconds_diagnosis": time.process_time() - started}
     said = summarise(report)
-    likeliest = sorted(said["posterior"] or {}, key=lambda name: -said["posterior"][name])[:4]
+    likeliest = sorted(said["posterior"] or {}, key=lambda name: -said["posterior"][name])[
+        :4
+    ]
     said["posterior"] = {name: said["posterior"][name] for name in likeliest}
     return line | said | judge_unknown(truth, report, unseen)
 
@@ -137,7 +148,9 @@ def list_jobs(args: argparse.Namespace) -> tuple[dict[str, partial[Line]], dict[
     jobs = {}
     about = {}
     numbers = range(args.seed, args.seed + args.sets)
-    for number, path, effect in product(numbers, args.paths.split(","), args.only.split(",")):
+    for number, path, effect in product(
+        numbers, args.paths.split(","), args.only.split(",")
+    ):
         own = (path, effect, args.physics, number)
         key = "/".join(map(str, own))
         jobs[key] = partial(judge_set, *own)
@@ -152,7 +165,10 @@ def write_scores(lines: Sequence[Line]) -> str:
     for path in PATHS:
         own = [
             x
-            | {"S": score_unseen(x), "cpu": x["seconds_diagnosis"] + x.get("seconds_unknown", 0.0)}
+            | {
+                "S": score_unseen(x),
+                "cpu": x["seconds_diagnosis"] + x.get("seconds_unknown", 0.0),
+            }
             for x in lines
             if x["path"] == path and "verdict" in x
         ]
@@ -165,7 +181,15 @@ def write_scores(lines: Sequence[Line]) -> str:
             named = count_words("+".join(x["cause"]) for x in some if is_named(x))
             sd, share, cost = (median_of(some, x) for x in ("signal", "S", "cpu"))
             rows.append(
-                (name, sd, seen, named, share, cost, *score_group(some, OWN_KINDS | EFFECTS))
+                (
+                    name,
+                    sd,
+                    seen,
+                    named,
+                    share,
+                    cost,
+                    *score_group(some, OWN_KINDS | EFFECTS),
+                )
             )
         pages.append(f"{path}\n\n{write_table(head, rows)}")
     return "\n\n".join(pages)
@@ -183,7 +207,9 @@ def main() -> None:
     """Run or tabulate."""
     parser, _, runs = start_commands(__doc__)
     runs.add_argument("--sets", type=int, default=4, help="of each effect and path")
-    runs.add_argument("--seed", type=int, default=0, help="of the first set; others count up")
+    runs.add_argument(
+        "--seed", type=int, default=0, help="of the first set; others count up"
+    )
     runs.add_argument("--physics", choices=SIMULATORS, default="resting")
     runs.add_argument("--paths", default=",".join(PATHS))
     runs.add_argument("--only", default=",".join(STARTS))

@@ -99,14 +99,19 @@ class Truth:
     @property
     def times(self) -> Tensor:
         """Of the frames, t*."""
-        return closures.STEP * arange(0.0, closures.FRAMES * closures.SAMPLES + 1.0, self.every)
+        return closures.STEP * arange(
+            0.0, closures.FRAMES * closures.SAMPLES + 1.0, self.every
+        )
 
     @property
     def plan(self) -> ExperimentBatch:
         """The diagnosed shots before they are filmed."""
         blank = ones(self.repeats, len(self.times))
         shots = self.designs[:SHOTS]
-        made = [Experiment(f"shot {i}", d, self.times, blank, FLOOR) for i, d in enumerate(shots)]
+        made = [
+            Experiment(f"shot {i}", d, self.times, blank, FLOOR)
+            for i, d in enumerate(shots)
+        ]
         return ExperimentBatch(tuple(made), self.noise)
 
     def film(self, simulator: Simulator, shifts: Tensor, first: int = 0) -> Tensor:
@@ -144,7 +149,9 @@ def draw_truth(path: str, effect: str, physics: str, source: torch.Generator) ->
             if effect == "dropped_frame":
                 strength = float(min(max(round(strength), 1), 60))
             if effect == "own_drive":
-                gels = tuple(gel | own | {"pulse": own["pulse"] * strength} for own in pulses)
+                gels = tuple(
+                    gel | own | {"pulse": own["pulse"] * strength} for own in pulses
+                )
             truth = replace(truth, strength=strength, gels=gels)
             curve = truth.film(truth.fits, zeros(SHOTS, 3))
             signal = refit(gel, curve, truth.plan, truth.fits)
@@ -160,7 +167,11 @@ def _draw_pulse(source: torch.Generator) -> dict[str, float]:
     """A pulse of a shot's own, of about unit size and either sign."""
     size, sign, moment, width = rand(4, generator=source).tolist()
     amplitude = math.copysign(0.5 + size, sign - 0.5)
-    return {"pulse": amplitude, "pulse_time": 0.3 + 3.0 * moment, "pulse_width": -2.0 + width}
+    return {
+        "pulse": amplitude,
+        "pulse_time": 0.3 + 3.0 * moment,
+        "pulse_width": -2.0 + width,
+    }
 
 
 def make_foreign_set(
@@ -176,7 +187,9 @@ def make_foreign_set(
         if bool(torch.isfinite(torch.cat((curves, unseen))).all()):
             break
     shots = [
-        replace(shot, radius=plan.noise.draw(curve, shot.times, truth.repeats, generator=source))
+        replace(
+            shot, radius=plan.noise.draw(curve, shot.times, truth.repeats, generator=source)
+        )
         for shot, curve in zip(plan.curves, curves, strict=True)
     ]
     if path == "single":

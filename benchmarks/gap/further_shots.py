@@ -74,7 +74,9 @@ def compare_designs(task: Task) -> Line:
     if not line["ambiguous"]:
         return line
     policies = dict(zip(ARMS, (TellCausesApart(learner), Random()), strict=True))
-    arms = {name: _shoot_arm(p, data, learner, task, simulator) for name, p in policies.items()}
+    arms = {
+        name: _shoot_arm(p, data, learner, task, simulator) for name, p in policies.items()
+    }
     return line | {key: {a: own[key] for a, own in arms.items()} for key in arms["chosen"]}
 
 
@@ -96,12 +98,21 @@ def _shoot_arm(
         number = len(experiments) + 1
         batch = ExperimentBatch(tuple(experiments))
         situation = Situation(
-            number, _PRIOR, simulator, DesignSpace(), plan, task.seed, prior=_PRIOR, batch=batch
+            number,
+            _PRIOR,
+            simulator,
+            DesignSpace(),
+            plan,
+            task.seed,
+            prior=_PRIOR,
+            batch=batch,
         )
         design = policy.choose_design(situation).design
         filmed = film(data.values, make_plan(design[None], task), task, source)
         if filmed is None:
-            raise ConvergenceError(f"The bubble at {design.tolist()} could not be simulated.")
+            raise ConvergenceError(
+                f"The bubble at {design.tolist()} could not be simulated."
+            )
         shots.append(design.tolist())
         experiments.append(replace(filmed[0], label=f"shot {shot}"))
         report = _diagnose(learner, experiments, task, simulator)
@@ -112,15 +123,22 @@ def _shoot_arm(
     return {
         "named": named,
         "right": named is not None and families(report.cause) == families(data.truth),
-        "p_true": sum(p for x, p in posterior.items() if families([x]) == families(data.truth)),
+        "p_true": sum(
+            p for x, p in posterior.items() if families([x]) == families(data.truth)
+        ),
         "shots": shots,
     }
 
 
 def _diagnose(
-    learner: CauseLearner, experiments: Sequence[Experiment], task: Task, simulator: Simulator
+    learner: CauseLearner,
+    experiments: Sequence[Experiment],
+    task: Task,
+    simulator: Simulator,
 ) -> GapReport:
-    return learner.diagnose(_PRIOR, ExperimentBatch(tuple(experiments)), simulator, task.seed)
+    return learner.diagnose(
+        _PRIOR, ExperimentBatch(tuple(experiments)), simulator, task.seed
+    )
 
 
 def score_shots(lines: Sequence[Line]) -> list[Figure]:
@@ -136,10 +154,15 @@ def score_shots(lines: Sequence[Line]) -> list[Figure]:
             Figure.of_share(f"another named alone, {arm}", wrong),
             Figure.of_share(f"truth named alone after one shot, {arm}", soon),
         ]
-        for words, sets in (("", left), (" of sets in which both name the truth", _both(left))):
+        for words, sets in (
+            ("", left),
+            (" of sets in which both name the truth", _both(left)),
+        ):
             spent = sum(line["named"][arm] or SHOTS for line in sets)
             figures.append(Figure(f"shots in all{words}, {arm}", spent, len(sets)))
-        figures.append(Figure.of_mean(f"P(truth), {arm}", [line["p_true"][arm] for line in left]))
+        figures.append(
+            Figure.of_mean(f"P(truth), {arm}", [line["p_true"][arm] for line in left])
+        )
     ahead = [x["p_true"]["chosen"] - x["p_true"]["random"] for x in left]
     figures.append(Figure.of_mean("P(truth), chosen less random", ahead))
     return figures
@@ -165,12 +188,18 @@ def measure_rivals(line: Line, physics: str) -> dict[str, tuple[float, float]]:
     gel = {name: data.values[name] for name in GEL}
     truth = {name: value for name, value in data.values.items() if name not in GEL}
     shot = tensor([e.design for e in data.experiments])
-    others = [effect for effect in data.offered if effect.family not in families(data.truth)]
+    others = [
+        effect for effect in data.offered if effect.family not in families(data.truth)
+    ]
     few = make_plan(shot, task)
     many = make_plan(torch.cat((shot, _spread_designs())), task)
-    left = {effect.name: beside_rival(gel, truth, effect, few, simulator) for effect in others}
+    left = {
+        effect.name: beside_rival(gel, truth, effect, few, simulator) for effect in others
+    }
     nearest = sorted(left, key=left.__getitem__)[:_NEAREST]
-    more = {name: beside_rival(gel, truth, LIBRARY[name], many, simulator) for name in nearest}
+    more = {
+        name: beside_rival(gel, truth, LIBRARY[name], many, simulator) for name in nearest
+    }
     return {
         name: (min(left[name], more[name]), more[name]) for name in nearest
     }  # fewer designs cannot leave more
@@ -179,7 +208,9 @@ def measure_rivals(line: Line, physics: str) -> dict[str, tuple[float, float]]:
 def _spread_designs() -> torch.Tensor:
     """``25 x 2`` designs over the space: We evenly in its logarithm, R_inf* evenly."""
     (weber, rest), (most_weber, most_rest) = DesignSpace().bounds.tolist()
-    along = torch.logspace(math.log10(weber), math.log10(most_weber), _ALONG, dtype=torch.float64)
+    along = torch.logspace(
+        math.log10(weber), math.log10(most_weber), _ALONG, dtype=torch.float64
+    )
     return torch.cartesian_prod(along, linspace(rest, most_rest, _ALONG))
 
 
@@ -189,17 +220,24 @@ def main() -> None:
     add_task_arguments(runs)
     limits = commands.add_parser("rivals", help="could any shots tell the causes apart?")
     limits.add_argument("file", type=Path, metavar="OUT.jsonl")
-    limits.add_argument("--physics", choices=PHYSICS, help="if another than that of the sets")
+    limits.add_argument(
+        "--physics", choices=PHYSICS, help="if another than that of the sets"
+    )
     args = parser.parse_args()
     if args.what == "rivals":
         for line in read_record(args.file):
             if line.get("ambiguous"):
                 left = measure_rivals(line, args.physics or line["physics"])
                 words = (f"{x} {few:.1f} to {many:.1f}" for x, (few, many) in left.items())
-                print(f"{line['key']}: {line['truth']} beside {', '.join(words)} sd", flush=True)
+                print(
+                    f"{line['key']}: {line['truth']} beside {', '.join(words)} sd",
+                    flush=True,
+                )
         return
     table = args.what == "table"
-    lines = read_record(*args.files) if table else run_tasks(args, ("next",), compare_designs)
+    lines = (
+        read_record(*args.files) if table else run_tasks(args, ("next",), compare_designs)
+    )
     print(write_figures(score_shots(lines)))
 
 

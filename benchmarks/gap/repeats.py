@@ -61,14 +61,18 @@ def diagnose_set(task: Task, *, parts: bool = False) -> Line:
     warnings.simplefilter("ignore", ConvergenceWarning)  # certificates are in the line
     data = make_set(task)
     seed = child(task.seed, "diagnosis", task.key)
-    report = diagnose(data.experiments, effects=data.offered, simulator=task.simulator(), seed=seed)
+    report = diagnose(
+        data.experiments, effects=data.offered, simulator=task.simulator(), seed=seed
+    )
     line = {"truth": data.truth, "values": data.values, "signal": data.signal}
     line |= summarise(report)
     if parts:
         further = partial(film_further, task, data.values)
         truth = {name: data.values[name] for name in GEL}
         line["truth_names"] = data.truth
-        line |= judge_parts(report, task.simulator(), further, truth, seed=child(seed, "parts"))
+        line |= judge_parts(
+            report, task.simulator(), further, truth, seed=child(seed, "parts")
+        )
     return line
 
 
@@ -84,7 +88,9 @@ def film_further(task: Task, values: dict[str, float]) -> tuple[Experiment, ...]
 
 def diagnose_labelled_set(file: Path, effect: str) -> Line:
     """Diagnose a set of a separate program."""
-    report = diagnose(load_set(file), simulator=TransportSimulator(accuracy=ACCURACIES["search"]))
+    report = diagnose(
+        load_set(file), simulator=TransportSimulator(accuracy=ACCURACIES["search"])
+    )
     return {"truth": () if effect == "none" else (effect,)} | summarise(report)
 
 
@@ -122,9 +128,13 @@ def score_causes(lines: Sequence[Line]) -> list[Figure]:
     wrong = [_top(line)[0] != families(line["truth"]) for line in sure]
     return [
         Figure.of_share("false alarm", alarms, (0.0, 0.05)),
-        Figure.of_share("an effect of the library is found", [bool(x.get("gap")) for x in known]),
+        Figure.of_share(
+            "an effect of the library is found", [bool(x.get("gap")) for x in known]
+        ),
         Figure.of_share("one that is found is named", [is_named(x) for x in found]),
-        Figure.of_share("truth in the named class, effect of the library", right, (0.92, 1.0)),
+        Figure.of_share(
+            "truth in the named class, effect of the library", right, (0.92, 1.0)
+        ),
         Figure.of_mean("mean size of a class, where one is named", sizes, (1.0, 2.0)),
         Figure.of_share("names with a stated probability > .9, wrong", wrong, (0.0, 0.03)),
         Figure.of_share(
@@ -181,7 +191,9 @@ def _calibrate(
     )
     figures = []
     for number in range(BINS):
-        own = weighted[number * len(weighted) // BINS : (number + 1) * len(weighted) // BINS]
+        own = weighted[
+            number * len(weighted) // BINS : (number + 1) * len(weighted) // BINS
+        ]
         if not own:
             continue
         total = sum(w for *_, w in own)
@@ -190,7 +202,9 @@ def _calibrate(
         # the variance is that of the stated probabilities, so that a bin of 0 or 1 has an error too
         error = math.sqrt(sum(w * w * max(p * (1.0 - p), 1e-4) for p, _, w in own)) / total
         head = f"{name} {mean:.3f} ({own[0][0]:.3f} to {own[-1][0]:.3f})"
-        low, high = (min(1.0, max(0.0, found + sign * 1.645 * error)) for sign in (-1.0, 1.0))
+        low, high = (
+            min(1.0, max(0.0, found + sign * 1.645 * error)) for sign in (-1.0, 1.0)
+        )
         must = (max(0.0, mean - 2.0 * error), min(1.0, mean + 2.0 * error))
         figures.append(Figure(head, found, len(own), low, high, must))
     return figures
@@ -212,8 +226,12 @@ def add_task_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sets", type=int, default=67, help="of each kind (default 67)")
     parser.add_argument("--size", default="3x10", metavar="DxR", help="designs x repeats")
     parser.add_argument("--physics", choices=PHYSICS, default="transport")
-    parser.add_argument("--truths", choices=TRUTHS, default=TRUTHS[0], help="how truths are solved")
-    parser.add_argument("--seed", type=int, default=0, help="of the first set; others count up")
+    parser.add_argument(
+        "--truths", choices=TRUTHS, default=TRUTHS[0], help="how truths are solved"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, help="of the first set; others count up"
+    )
 
 
 def run_tasks(

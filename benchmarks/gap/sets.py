@@ -72,7 +72,11 @@ class Task:
     truths: str = "reference"
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS or self.physics not in PHYSICS or self.truths not in TRUTHS:
+        if (
+            self.kind not in KINDS
+            or self.physics not in PHYSICS
+            or self.truths not in TRUTHS
+        ):
             raise InputDataError(
                 f"Task: expected a kind of {KINDS}, a physics of {PHYSICS} and truths of "
                 f"{TRUTHS}, got {self.kind}, "
@@ -100,7 +104,9 @@ class Task:
         error.
         """
         if self.physics == "polytropic":
-            return PolytropicSimulator(stepping=STEPPINGS["reference" if fine else "default"])
+            return PolytropicSimulator(
+                stepping=STEPPINGS["reference" if fine else "default"]
+            )
         if not fine:
             return TransportSimulator(accuracy=ACCURACIES["search"])
         return TransportSimulator(
@@ -175,7 +181,9 @@ def film(
 ) -> tuple[Experiment, ...] | None:
     """Shoot a plan: what the camera gives; None where a bubble cannot be simulated."""
     shifts = randn(1, len(plan.experiments), 3, generator=source) * plan.nuisance_sds
-    curves = predict(task.simulator(fine=True), PARAMETERS.pack(values)[None], plan, shifts)[0]
+    curves = predict(
+        task.simulator(fine=True), PARAMETERS.pack(values)[None], plan, shifts
+    )[0]
     if not bool(torch.isfinite(curves).all()):
         return None
     return tuple(
@@ -219,7 +227,10 @@ def make_plan(designs: Tensor, task: Task) -> ExperimentBatch:
     blank = ones(task.repeats, 81)
     pairs = [(weber, rest) for weber, rest in designs.tolist()]
     return ExperimentBatch(
-        tuple(Experiment(f"design {i}", d, times, blank, nuisance) for i, d in enumerate(pairs))
+        tuple(
+            Experiment(f"design {i}", d, times, blank, nuisance)
+            for i, d in enumerate(pairs)
+        )
     )
 
 

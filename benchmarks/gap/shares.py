@@ -67,15 +67,23 @@ def _named_cost(report: GapReport) -> float:
     return min(report.steps[0].fits[name].cost for name in report.steps[0].explained)
 
 
-def _judge_intervals(found: Mapping[str, Sequence[float]], truth: Mapping[str, float]) -> Line:
+def _judge_intervals(
+    found: Mapping[str, Sequence[float]], truth: Mapping[str, float]
+) -> Line:
     """Of each parameter whether the interval holds it, its width and the error of its median, in
     logarithms.
     """
     told = {name: found[name] for name in truth}
     return {
-        "holds": {name: low <= truth[name] <= high for name, (low, _, high) in told.items()},
-        "width": {name: math.log(high / max(low, 1e-9)) for name, (low, _, high) in told.items()},
-        "error": {name: math.log(middle / truth[name]) for name, (_, middle, _) in told.items()},
+        "holds": {
+            name: low <= truth[name] <= high for name, (low, _, high) in told.items()
+        },
+        "width": {
+            name: math.log(high / max(low, 1e-9)) for name, (low, _, high) in told.items()
+        },
+        "error": {
+            name: math.log(middle / truth[name]) for name, (_, middle, _) in told.items()
+        },
     }
 
 
@@ -94,7 +102,9 @@ def _tell(found: Shrinkage | None, report: GapReport) -> Line | None:
 def score_parts(lines: Sequence[Line]) -> list[Figure]:
     """All figures of sets that were judged by :func:`judge_parts`."""
     lines = [x for x in lines if "with_error" in x]
-    judged = [x for x in lines if all((x.get(by) or {}).get("share") for by in ("own", "further"))]
+    judged = [
+        x for x in lines if all((x.get(by) or {}).get("share") for by in ("own", "further"))
+    ]
     strong = [x for x in judged if x["explained"] >= STRONG]
     right = [x for x in judged if _holds_truth(x)]
     withheld = [x for x in judged if x["kind"] == "withheld"]
@@ -114,7 +124,10 @@ def score_parts(lines: Sequence[Line]) -> list[Figure]:
         *_score_shares("effect withheld", withheld),
         Figure.of_mean(
             "withheld: distance of own and further share, each less its median placebo",
-            [abs(_beyond_chance(x["own"]) - _beyond_chance(x["further"])) for x in withheld],
+            [
+                abs(_beyond_chance(x["own"]) - _beyond_chance(x["further"]))
+                for x in withheld
+            ],
             (0.0, 0.1),
         ),
         Figure.of_share(
@@ -148,10 +161,16 @@ def _beyond_chance(found: Line) -> float:
 
 def _score_shares(name: str, lines: Sequence[Line]) -> list[Figure]:
     return [
-        Figure.of_share(f"{name}: called closed", [x["own"]["word"] == "closed" for x in lines]),
-        Figure.of_quantile(f"{name}: own share", [x["own"]["share"][1] for x in lines], 0.5),
+        Figure.of_share(
+            f"{name}: called closed", [x["own"]["word"] == "closed" for x in lines]
+        ),
         Figure.of_quantile(
-            f"{name}: share on further curves", [x["further"]["share"][1] for x in lines], 0.5
+            f"{name}: own share", [x["own"]["share"][1] for x in lines], 0.5
+        ),
+        Figure.of_quantile(
+            f"{name}: share on further curves",
+            [x["further"]["share"][1] for x in lines],
+            0.5,
         ),
     ]
 
@@ -172,6 +191,8 @@ def _score_intervals(kind: str, lines: Sequence[Line]) -> list[Figure]:
         figures += [
             Figure.of_share(f"{head}: intervals hold G and mu", holds, least),
             Figure.of_quantile(f"{head}: width, logarithms, median", widths, 0.5),
-            Figure.of_quantile(f"{head}: error of the median, 90th percentile", errors, 0.9),
+            Figure.of_quantile(
+                f"{head}: error of the median, 90th percentile", errors, 0.9
+            ),
         ]
     return figures

@@ -22,7 +22,9 @@ from imr_torch.simulate import Simulator
 
 Vector = NDArray[np.float64]
 
-_NUDGE = 1e-4  # relative step of G and mu, and step of all others in prior sd, for their slopes
+_NUDGE = (
+    1e-4  # relative step of G and mu, and step of all others in prior sd, for their slopes
+)
 _FARTHEST = 3.0  # move of the log of G and mu, which the first frames alone do not hold
 _UNLIKELY = 6.0  # prior standard deviations that the parameters of a rival may reach
 _EVALUATIONS = 60
@@ -52,7 +54,9 @@ def signals(
     if not effects:
         return []
     curves = predict(
-        simulator, torch.stack([PARAMETERS.pack({**gel, **effect}) for effect in effects]), plan
+        simulator,
+        torch.stack([PARAMETERS.pack({**gel, **effect}) for effect in effects]),
+        plan,
     )
     return [refit(gel, curve, plan, simulator) for curve in curves]
 
@@ -75,7 +79,9 @@ def beside_rival(
         simulator: makes the bubbles.
     """
     curve = predict(simulator, PARAMETERS.pack({**gel, **truth})[None], plan)[0]
-    return min(refit(gel, curve, plan, simulator, rival=(rival, values)) for values in rival.starts)
+    return min(
+        refit(gel, curve, plan, simulator, rival=(rival, values)) for values in rival.starts
+    )
 
 
 def refit(
@@ -102,13 +108,17 @@ def refit(
         for prior, x in zip(priors.values(), values, strict=True)
     ]
     own = len(gel) + len(priors)
-    still = np.concatenate((np.zeros(len(gel)), begun, np.zeros(experiments * len(uncertain))))
+    still = np.concatenate(
+        (np.zeros(len(gel)), begun, np.zeros(experiments * len(uncertain)))
+    )
     if not bool(torch.isfinite(curve[plan.mask]).all()):
         return math.nan
 
     def place(x: Tensor) -> tuple[Tensor, Tensor]:
         moved = tensor(list(gel.values())) * x[:, : len(gel)].exp()
-        beside = [prior.to_physical(x[:, len(gel) + i]) for i, prior in enumerate(priors.values())]
+        beside = [
+            prior.to_physical(x[:, len(gel) + i]) for i, prior in enumerate(priors.values())
+        ]
         physical = torch.cat((moved, *(column[:, None] for column in beside)), 1)
         rows = torch.stack(
             [
@@ -134,18 +144,28 @@ def refit(
             torch.eye(own), torch.eye(len(uncertain)).repeat(1, experiments)
         ).double()
         rows, shifts = place(
-            torch.from_numpy(x) + _NUDGE * torch.cat((everywhere.new_zeros(1, len(x)), everywhere))
+            torch.from_numpy(x)
+            + _NUDGE * torch.cat((everywhere.new_zeros(1, len(x)), everywhere))
         )
         radius = predict(simulator, rows[None], plan, shifts[None], bundled=True)[0]
         moved = (radius[1:] - radius[0]) / _NUDGE
         alone = eye(experiments)[:, None, :, None] * moved[own:]  # E x C x E x T
-        columns = whitened(curve + torch.cat((moved[:own], alone.flatten(0, 1)))).nan_to_num()
+        columns = whitened(
+            curve + torch.cat((moved[:own], alone.flatten(0, 1)))
+        ).nan_to_num()
         believed = eye(len(x))[:, len(gel) :]
         return torch.cat((columns, believed), 1).mT.numpy()
 
-    farthest = np.repeat((_FARTHEST, _UNLIKELY, np.inf), (len(gel), len(priors), len(still) - own))
+    farthest = np.repeat(
+        (_FARTHEST, _UNLIKELY, np.inf), (len(gel), len(priors), len(still) - own)
+    )
     begin = still.clip(-farthest, farthest)
     found = least_squares(
-        residual, begin, slopes, (-farthest, farthest), ftol=_TOLERANCE, max_nfev=_EVALUATIONS
+        residual,
+        begin,
+        slopes,
+        (-farthest, farthest),
+        ftol=_TOLERANCE,
+        max_nfev=_EVALUATIONS,
     )
     return math.sqrt(2.0 * found.cost)

@@ -94,7 +94,9 @@ def diagnose_traces(
     batch = _give_noise(ExperimentBatch(experiments), laws)
     null = fit_null(Inquiry(BASE, batch, fewer_steps(FITS)), seed=1)
     effects = tuple(library(base=BASE.model))
-    line["p_known"] = adequacy_test(null, effects, batch, fewer_steps(FITS), seed=1).test.p_value
+    line["p_known"] = adequacy_test(
+        null, effects, batch, fewer_steps(FITS), seed=1
+    ).test.p_value
     if shown and kind in ACTED and line["p_known"] >= SHOWN:
         return line
     hidden = families([truth["effect"]]) if kind == "withheld" else set()
@@ -136,7 +138,12 @@ def _give_noise(batch: ExperimentBatch, laws: Sequence[Noise]) -> ExperimentBatc
 
 
 def characterize_traces(
-    traces: TraceSet, truth: Line, seed: int, *, simulator: Simulator = FITS, weigh: bool = True
+    traces: TraceSet,
+    truth: Line,
+    seed: int,
+    *,
+    simulator: Simulator = FITS,
+    weigh: bool = True,
 ) -> Line:
     """P-value, whether intervals hold G and mu and how far their medians are off, by
     ``characterize`` with one model.
@@ -153,9 +160,13 @@ def characterize_traces(
     intervals = result.to_dict()["models"]["nhkv"]["intervals"]  # type: ignore[index,call-overload]
     parts = result.parts
     return {
-        "parts": None if parts is None else {"agree": parts.agree, "shifts": parts.compared},
+        "parts": None
+        if parts is None
+        else {"agree": parts.agree, "shifts": parts.compared},
         "p_fit": None if test is None else test.p_value,
-        "held": {name: intervals[name][0] <= truth[name] <= intervals[name][2] for name in GEL},
+        "held": {
+            name: intervals[name][0] <= truth[name] <= intervals[name][2] for name in GEL
+        },
         "error": {name: math.log(intervals[name][1] / truth[name]) for name in GEL},
         "verdict_fit": result.assimilation.fits[0].verdict.value,
     }
@@ -178,7 +189,12 @@ def judge_simulated(
         return {"kind": kind, "truth": truth} | characterize_traces(traces, truth, number)
     further = partial(film_further, number, kind, truth, stated=stated, seed=seed)
     line = diagnose_traces(
-        f"{kind}/{number}", traces, laws, truth, shown=shown, further=further if parts else None
+        f"{kind}/{number}",
+        traces,
+        laws,
+        truth,
+        shown=shown,
+        further=further if parts else None,
     )
     if fit and "refused" not in line:
         line |= characterize_traces(traces, truth, number)
@@ -230,17 +246,26 @@ def write_scores(lines: Sequence[Line]) -> str:
         "verdicts",
         "no answer",
     )
-    rows = [(kind, *_cells(own)) for kind, own in groups.items() if any("p" in x for x in own)]
+    rows = [
+        (kind, *_cells(own)) for kind, own in groups.items() if any("p" in x for x in own)
+    ]
     pages = [write_table(head, rows)] if any("p" in x for x in quiet) else []
     checked = [x for x in quiet if x.get("held")]
     if checked:
-        p = kstest([x["p_fit"] for x in checked if x["p_fit"] is not None], "uniform").pvalue
+        p = kstest(
+            [x["p_fit"] for x in checked if x["p_fit"] is not None], "uniform"
+        ).pvalue
         shares = {name: float(np.mean([x["held"][name] for x in checked])) for name in GEL}
-        pages.append(f"characterize, {len(checked)} sets: KS p {p:.2f}; intervals hold {shares}.")
+        pages.append(
+            f"characterize, {len(checked)} sets: KS p {p:.2f}; intervals hold {shares}."
+        )
     if any(x.get("parts") for x in lines):
         pages.append(_write_parts(lines))
     acted = [x for x in lines if x not in quiet and "p_known" in x]
-    pages += [_write_named(kind, [x for x in acted if x["kind"] == kind]) for kind in _kinds(acted)]
+    pages += [
+        _write_named(kind, [x for x in acted if x["kind"] == kind])
+        for kind in _kinds(acted)
+    ]
     if any("with_error" in x for x in lines):
         pages.append(write_figures(score_parts(lines)))
     return "\n".join(pages)
@@ -250,7 +275,11 @@ def _write_parts(lines: Sequence[Line]) -> str:
     """How often the parts of records agree, without and with an effect."""
     told = []
     for name, of_kind in (("no effect", True), ("an effect", False)):
-        own = [x for x in lines if x.get("parts") and of_kind == (x["truth"]["effect"] == "none")]
+        own = [
+            x
+            for x in lines
+            if x.get("parts") and of_kind == (x["truth"]["effect"] == "none")
+        ]
         shifts = np.array([z for x in own for z, *_ in x["parts"]["shifts"]])
         seen = [x for x in own if x["p_fit"] is not None and x["p_fit"] < 0.04]
         apart = [x for x in own if not x["parts"]["agree"]]
@@ -301,15 +330,21 @@ def main() -> None:
     runs.add_argument("--sets", type=int, default=275)
     runs.add_argument("--seed", type=int, default=SEED, help="other sets by another one")
     runs.add_argument("--every", type=int, default=5, help="is characterised too; 0: none")
-    runs.add_argument("--shown", action="store_true", help="diagnose effects that p < .001 shows")
+    runs.add_argument(
+        "--shown", action="store_true", help="diagnose effects that p < .001 shows"
+    )
     runs.add_argument("--parts", action="store_true", help="judge shares and intervals too")
-    runs.add_argument("--fits-only", action="store_true", help="characterise, and no diagnosis")
+    runs.add_argument(
+        "--fits-only", action="store_true", help="characterise, and no diagnosis"
+    )
     labelled = commands.add_parser("labelled", help="diagnose sets of a separate program")
     labelled.add_argument("folder", type=Path)
     add_out(labelled)
     for command in (runs, labelled):
         command.add_argument("--only", help="kinds, separated by commas")
-        command.add_argument("--stated", action="store_true", help="R_inf is stated, 1 %% error")
+        command.add_argument(
+            "--stated", action="store_true", help="R_inf is stated, 1 %% error"
+        )
     args = parser.parse_args()
     if args.what == "table":
         lines = read_record(*args.files)

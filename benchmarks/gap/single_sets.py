@@ -50,7 +50,9 @@ Curve = tuple[Tensor, Tensor, Noise]
 """Times, noisy radius and the law of its noise in single frames, dimensionless."""
 
 
-def white(law: Noise, frames: int = 81) -> Callable[[Tensor, Tensor, int, torch.Generator], Curve]:
+def white(
+    law: Noise, frames: int = 81
+) -> Callable[[Tensor, Tensor, int, torch.Generator], Curve]:
     """Independent frames by a law."""
 
     def noisy(times: Tensor, radius: Tensor, shot: int, source: torch.Generator) -> Curve:
@@ -150,7 +152,12 @@ def film_further(
 
 
 def _film(
-    kind: str, values: dict[str, float], designs: Tensor, source: torch.Generator, *, stated: bool
+    kind: str,
+    values: dict[str, float],
+    designs: Tensor,
+    source: torch.Generator,
+    *,
+    stated: bool,
 ) -> tuple[TraceSet, list[Noise]] | None:
     """A curve of each design, and the law of its noise; None where one cannot be simulated."""
     count = len(designs)
@@ -228,7 +235,9 @@ def read_labelled(
                 seen = r > 1e-7
                 known = rest * float(radii[shot].mean(0).max())
                 given = (
-                    Given(rest_radius_m=known, rest_radius_sd_m=0.01 * known) if stated else Given()
+                    Given(rest_radius_m=known, rest_radius_sd_m=0.01 * known)
+                    if stated
+                    else Given()
                 )
                 traces.append(
                     RadiusTrace(f"shot {shot}", torch.tensor(t)[seen], r[seen], name, given)

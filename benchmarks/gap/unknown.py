@@ -37,7 +37,14 @@ from imr_torch.assimilate import ModelFit
 from imr_torch.float64 import arange, tensor
 from imr_torch.gap.fits import fit_null
 from imr_torch.gap.hypotheses import EXPLAINS, Inquiry
-from imr_torch.material import LIBRARY, PARAMETERS, TERMS, dimensionless, gel_response, wide_prior
+from imr_torch.material import (
+    LIBRARY,
+    PARAMETERS,
+    TERMS,
+    dimensionless,
+    gel_response,
+    wide_prior,
+)
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import fewer_steps
 from imr_torch.units import Surroundings
@@ -128,7 +135,9 @@ def compare_pressures(
         step = float(times[1] - times[0])
         radius = shot.stretch * rest
         velocity = shot.rate * seconds * radius
-        gels = (dimensionless(PARAMETERS.pack(x), size, surroundings) for x in (truth, fitted))
+        gels = (
+            dimensionless(PARAMETERS.pack(x), size, surroundings) for x in (truth, fitted)
+        )
         true, base = (stress_along(gel, radius, velocity, rest, step) for gel in gels)
         # as coarse in time as what is inferred: averaged, and made, by pulses
         width = math.sqrt(2.0) * SPACING / step

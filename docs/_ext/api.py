@@ -68,7 +68,9 @@ def public_names(module: ModuleType) -> list[str]:
     if hasattr(module, "__all__"):
         return list(module.__all__)
     tree = ast.parse(inspect.getsource(module))
-    own = [node.name for node in tree.body if isinstance(node, ast.ClassDef | ast.FunctionDef)]
+    own = [
+        node.name for node in tree.body if isinstance(node, ast.ClassDef | ast.FunctionDef)
+    ]
     return [
         name
         for name in [*own, *said_of_data(Path(str(module.__file__)))]
@@ -85,7 +87,9 @@ def said_of_data(path: Path) -> dict[str, str]:
         body = ast.parse(file.read_text(encoding="utf-8")).body
         for node, after in pairwise(body):
             target = (
-                node.targets[0] if isinstance(node, ast.Assign) else getattr(node, "target", None)
+                node.targets[0]
+                if isinstance(node, ast.Assign)
+                else getattr(node, "target", None)
             )
             if (
                 isinstance(target, ast.Name)
@@ -102,7 +106,9 @@ def kind_of(value: object) -> str:
         return "data"  # the annotation of a tensor
     if inspect.isclass(value):
         return "exception" if issubclass(value, Exception) else "class"
-    return "function" if inspect.isroutine(value) or hasattr(value, "__wrapped__") else "data"
+    return (
+        "function" if inspect.isroutine(value) or hasattr(value, "__wrapped__") else "data"
+    )
 
 
 def entries() -> dict[str, list[Entry]]:
@@ -114,7 +120,9 @@ def entries() -> dict[str, list[Entry]]:
         for name in public_names(module):
             value = getattr(module, name)
             shared = (
-                kind_of(value) != "data" or isinstance(value, dict) or hasattr(value, "__dict__")
+                kind_of(value) != "data"
+                or isinstance(value, dict)
+                or hasattr(value, "__dict__")
             )
             identity = (
                 id(value) if shared else (package, name)
@@ -169,7 +177,8 @@ def index(pages: dict[str, list[Entry]]) -> str:
     )
     names = "\n".join(package for package in pages)
     lines = "\n".join(
-        f"- [imr_torch.{name}]({name}.rst): {question}" for name, question in PACKAGES.items()
+        f"- [imr_torch.{name}]({name}.rst): {question}"
+        for name, question in PACKAGES.items()
     )
     return (
         "# Programming interface\n\nEvery public name, with shapes, units, errors and an example "

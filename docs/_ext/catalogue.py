@@ -54,7 +54,9 @@ PLACES = {
 _DESIGN = (450.0, 0.20)
 _TIMES = torch.linspace(0.0, 3.0, 301, dtype=torch.float64)
 _COLOURS = ("#0072B2", "#D55E00", "#009E73")
-_SMALL = 0.2  # of the amplitude at which fits start: where changes are compared, they are linear
+_SMALL = (
+    0.2  # of the amplitude at which fits start: where changes are compared, they are linear
+)
 _EXTENDS = {
     "qkv": "alpha",
     "gen_qkv": "alpha",
@@ -94,7 +96,11 @@ def parameter_table(
     for name in names:
         entry = PARAMETERS[name]
         unit = "" if entry.unit == "1" else entry.unit
-        prior = "must be measured independently" if name in known else prior_text(priors.get(name))
+        prior = (
+            "must be measured independently"
+            if name in known
+            else prior_text(priors.get(name))
+        )
         rows.append(
             (
                 f"`{name}`",
@@ -106,7 +112,14 @@ def parameter_table(
             )
         )
     return table(
-        ("name", "meaning", "SI unit", "allowed", "does nothing at", "prior where it is inferred"),
+        (
+            "name",
+            "meaning",
+            "SI unit",
+            "allowed",
+            "does nothing at",
+            "prior where it is inferred",
+        ),
         rows,
     )
 
@@ -161,7 +174,9 @@ def draw_effect(effect: Effect, path: Path) -> None:
         label = ", ".join(f"{name} {value:.3g}" for name, value in row.items())
         left.plot(_TIMES, radius, color=colour, label=label)
         right.plot(_TIMES, radius - neutral, color=colour)
-    left.set(xlabel=r"$t\,U_c/R_\mathrm{max}$", ylabel=r"$R/R_\mathrm{max}$", ylim=(0.0, 1.2))
+    left.set(
+        xlabel=r"$t\,U_c/R_\mathrm{max}$", ylabel=r"$R/R_\mathrm{max}$", ylim=(0.0, 1.2)
+    )
     right.set(xlabel=r"$t\,U_c/R_\mathrm{max}$", ylabel=r"change of $R/R_\mathrm{max}$")
     right.axhline(0.0, color="0.7", linewidth=0.8)
     left.legend(fontsize="x-small", frameon=False, loc="upper right")
@@ -294,7 +309,9 @@ def effect_page(effect: Effect, found: LookAlikes) -> str:
         if group
         else ""
     )
-    needs = f"It acts only on models that have `{effect.needs}`.\n\n" if effect.needs else ""
+    needs = (
+        f"It acts only on models that have `{effect.needs}`.\n\n" if effect.needs else ""
+    )
     return f"""# {effect.name}
 
 {effect.meaning[0].upper() + effect.meaning[1:]}. It concerns {PLACES[effect.place]}.
@@ -344,7 +361,9 @@ def _laws(effect: Effect) -> str:
     ]
     laws += [] if laws else [term.law for term in TERMS if term.switch == effect.names[0]]
     said = [" ".join((law.__doc__ or "").split()).replace("``", "`") for law in laws]
-    told = [text for text in said if text and text.rstrip(".").lower() != effect.meaning.lower()]
+    told = [
+        text for text in said if text and text.rstrip(".").lower() != effect.meaning.lower()
+    ]
     return "\n\n".join(f"*From the code:* {text}" for text in told) + "\n"
 
 
@@ -370,7 +389,10 @@ def index_page() -> str:
         for place, words in PLACES.items()
     )
     pages = "\n".join(
-        [*(f"model-{key}" for key in MATERIALS), *(f"effect-{file_name(name)}" for name in LIBRARY)]
+        [
+            *(f"model-{key}" for key in MATERIALS),
+            *(f"effect-{file_name(name)}" for name in LIBRARY),
+        ]
     )
     return (
         (Path(__file__).parent / "catalogue_index.md")
@@ -385,7 +407,9 @@ def generate(folder: Path) -> None:
     found = compared()
     with (
         Folder(folder) as out,
-        plt.rc_context({"axes.spines.top": False, "axes.spines.right": False, "font.size": 9}),
+        plt.rc_context(
+            {"axes.spines.top": False, "axes.spines.right": False, "font.size": 9}
+        ),
     ):
         out.write("index.md", index_page())
         for model in MATERIALS.values():

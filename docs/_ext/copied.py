@@ -32,11 +32,14 @@ def generate(docs: Path) -> None:
         out.write("index.md", page)
     with Folder(docs / "measured") as out:
         out.write(
-            "index.md", measured((ROOT / "benchmarks" / "RESULTS.md").read_text(encoding="utf-8"))
+            "index.md",
+            measured((ROOT / "benchmarks" / "RESULTS.md").read_text(encoding="utf-8")),
         )
         gels = (ROOT / "benchmarks" / "REAL_GELS.md").read_text(encoding="utf-8")
         out.write("real_gels.md", measured_gels(gels))
-        out.write("changelog.md", changes((ROOT / "CHANGELOG.md").read_text(encoding="utf-8")))
+        out.write(
+            "changelog.md", changes((ROOT / "CHANGELOG.md").read_text(encoding="utf-8"))
+        )
 
 
 def row_of(name: str, notebook: str) -> tuple[str, str, str]:
@@ -68,7 +71,9 @@ def measured(text: str) -> str:
 
 def measured_gels(text: str) -> str:
     """The page of measured gels; its figures and the results are elsewhere in the documentation."""
-    return text.replace("(../docs/_static/", "(../_static/").replace("(RESULTS.md#", "(index.md#")
+    return text.replace("(../docs/_static/", "(../_static/").replace(
+        "(RESULTS.md#", "(index.md#"
+    )
 
 
 def changes(text: str) -> str:

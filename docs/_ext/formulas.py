@@ -17,9 +17,7 @@ _FUNG = (
     r"2G\int_1^{\lambda}\left(\frac{1}{b^2} + \frac{1}{b^5}\right)%s\,\mathrm{d}b, \qquad x = "
     r"b^{-4} + 2b^2 - 3"
 )
-_MAXWELL = (
-    r"\frac{Z}{R^3} - \frac{4 s \mu\dot R}{R}, \qquad \tau\dot Z + Z = -4(1 - s)\,\mu R^2\dot R"
-)
+_MAXWELL = r"\frac{Z}{R^3} - \frac{4 s \mu\dot R}{R}, \qquad \tau\dot Z + Z = -4(1 - s)\,\mu R^2\dot R"
 _SOLID = (
     r"\dot S = \frac{S_\mathrm{e} - S}{\tau} - \frac{4\mu}{\tau}\frac{\dot R}{R} - f\,\frac{\dot "
     r"R}{R}, \qquad "

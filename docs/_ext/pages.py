@@ -45,7 +45,8 @@ def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     lines = [head, ["---"] * len(head), *rows]
     return (
         "\n".join(
-            "| " + " | ".join(str(x).replace("|", "\\|") for x in line) + " |" for line in lines
+            "| " + " | ".join(str(x).replace("|", "\\|") for x in line) + " |"
+            for line in lines
         )
         + "\n"
     )

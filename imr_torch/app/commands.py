@@ -12,7 +12,17 @@ from imr_torch.cli.options import COLLAPSES, COMMANDS, DEFAULT_MODELS, read_sett
 from imr_torch.errors import InputDataError
 from imr_torch.files import Document, read_table
 
-OF_THE_FOLDER = {"files", "layout", "medium", "out", "html", "mat", "resume", "workers", "cluster"}
+OF_THE_FOLDER = {
+    "files",
+    "layout",
+    "medium",
+    "out",
+    "html",
+    "mat",
+    "resume",
+    "workers",
+    "cluster",
+}
 """Options that the folder of the application answers, or that concern other machines."""
 LISTS = {"models", "experiments", "exclude", "heldout", "effects", "without", "tell"}
 """Options that take several names."""
@@ -47,13 +57,17 @@ CURVE: dict[str, Document] = _table["curve"]
 
 OPTIONS: dict[str, dict[str, Document]] = {
     command: {
-        name.removeprefix("--").replace("-", "_"): {"flag": name} | read_settings(command, name)
+        name.removeprefix("--").replace("-", "_"): {"flag": name}
+        | read_settings(command, name)
         for name in COMMANDS[command]["options"]
     }
     for command in FORMS
 }
 """Command -> option -> its name on the command line and its settings."""
-OPTIONS["campaign"]["continued"] = {"flag": "", "help": "a campaign of this folder that goes on"}
+OPTIONS["campaign"]["continued"] = {
+    "flag": "",
+    "help": "a campaign of this folder that goes on",
+}
 
 
 def list_defaults(command: str) -> Document:
@@ -105,7 +119,9 @@ def command_arguments(
         elif value is not True:
             words.append(f"{value:g}" if isinstance(value, float) else f"{value}")
     places = {"out": folder, "html": f"{folder}/page.html", "mat": f"{folder}/result.mat"}
-    kept = [word for name in places if name in options for word in (f"--{name}", places[name])]
+    kept = [
+        word for name in places if name in options for word in (f"--{name}", places[name])
+    ]
     return [*words, *["--resume"] * bool(values.get("continued")), *kept]
 
 
@@ -127,7 +143,9 @@ def check_chosen(command: str, values: Document, files: Sequence[str] = ()) -> N
     for name, settings in OPTIONS[command].items():
         flag = settings["flag"]
         if flag and not flag.startswith("--") and not given.get(name):
-            raise InputDataError(f"{FORMS[command].title}: {LABELS.get(name, name)} is missing.")
+            raise InputDataError(
+                f"{FORMS[command].title}: {LABELS.get(name, name)} is missing."
+            )
 
 
 def read_arguments(arguments: Sequence[str]) -> Document:

@@ -24,7 +24,9 @@ from pathlib import Path
 from imr_torch.errors import InputDataError
 from imr_torch.files import Document, read_json, write_json
 
-_COMMAND = "import sys; from imr_torch.cli import main; sys.exit(main(sys.argv[1:], events=True))"
+_COMMAND = (
+    "import sys; from imr_torch.cli import main; sys.exit(main(sys.argv[1:], events=True))"
+)
 STOPPED = 130
 """Exit status of a run that was interrupted by a person."""
 _STATUS = {
@@ -66,7 +68,10 @@ class Result:
         """Rows of a batch, a shot each, numbers to four digits; empty for other commands."""
         path = self.folder / "batch.json"
         return [
-            {key: float(f"{x:.4g}") if isinstance(x, float) else x for key, x in shot.items()}
+            {
+                key: float(f"{x:.4g}") if isinstance(x, float) else x
+                for key, x in shot.items()
+            }
             for shot in (read_json(path)["shots"] if path.is_file() else [])
         ]
 
@@ -92,7 +97,9 @@ class Result:
     def zip_files(self) -> bytes:
         """All files of the run as a zip file."""
         with tempfile.TemporaryDirectory() as place:
-            path = shutil.make_archive(f"{place}/all", "zip", self.folder.parent, self.folder.name)
+            path = shutil.make_archive(
+                f"{place}/all", "zip", self.folder.parent, self.folder.name
+            )
             return Path(path).read_bytes()
 
 
@@ -159,9 +166,13 @@ class Run(threading.Thread):
                 messages.append(text)
         status = self._process.wait()
         if self._stopping and status not in (0, 2, STOPPED):
-            status = STOPPED  # stopped before Python could answer, or killed since it did not
+            status = (
+                STOPPED  # stopped before Python could answer, or killed since it did not
+            )
             messages.clear()
-        (self.result.folder / "messages.txt").write_text("\n".join(messages), encoding="utf-8")
+        (self.result.folder / "messages.txt").write_text(
+            "\n".join(messages), encoding="utf-8"
+        )
         _write_record(self.result, status)
         self._at_end()
 
@@ -186,11 +197,15 @@ class Runs:
     def next_folder(self, kind: str) -> str:
         """The folder of the next run, relative to ``home``."""
         taken = [
-            int(m[1]) for path in self.folder.glob("*_*") if (m := re.match(r"(\d+)_", path.name))
+            int(m[1])
+            for path in self.folder.glob("*_*")
+            if (m := re.match(r"(\d+)_", path.name))
         ]
         return f"results/{max(taken, default=0) + 1:03d}_{kind}"
 
-    def add_run(self, arguments: Callable[[str], list[str]], kind: str, place: str = "") -> Result:
+    def add_run(
+        self, arguments: Callable[[str], list[str]], kind: str, place: str = ""
+    ) -> Result:
         """Start a command, or let it wait until those before it have ended.
 
         Args:
@@ -252,5 +267,9 @@ class Runs:
 
 
 def _write_record(result: Result, status: int | None) -> None:
-    record = {"arguments": list(result.arguments), "started": result.started, "status": status}
+    record = {
+        "arguments": list(result.arguments),
+        "started": result.started,
+        "status": status,
+    }
     write_json(result.folder / "run.json", record)

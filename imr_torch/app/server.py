@@ -102,10 +102,16 @@ def _free_port(port: int) -> int:
 def _announce_address(address: str, port: int, folder: Path, browser: bool) -> None:
     """Say the address as soon as the server answers, and open it."""
     while True:
-        with suppress(OSError), closing(socket.create_connection((HOST, port), timeout=1.0)):
+        with (
+            suppress(OSError),
+            closing(socket.create_connection((HOST, port), timeout=1.0)),
+        ):
             break
         time.sleep(0.05)
-    print(f"Open {address}\nFiles and results are kept in {folder}. End with Ctrl-C.", flush=True)
+    print(
+        f"Open {address}\nFiles and results are kept in {folder}. End with Ctrl-C.",
+        flush=True,
+    )
     if browser:
         webbrowser.open(address)
 
@@ -160,7 +166,9 @@ def _draw_page(workspace: Workspace, runs: Runs) -> None:
         ui.label("imr_torch").classes("text-h6")
         ui.label(str(workspace.folder)).classes("text-caption gt-xs")
     with (
-        ui.tabs().props("align=left outside-arrows mobile-arrows no-caps").classes("w-full") as tabs
+        ui.tabs()
+        .props("align=left outside-arrows mobile-arrows no-caps")
+        .classes("w-full") as tabs
     ):
         for number, name in enumerate(names, start=1):
             ui.tab(name, f"{number} {name}")

@@ -54,9 +54,13 @@ class CurvesView:
             ui.select(names, value=self.name, label="Curve").bind_value(
                 self, "name"
             ).on_value_change(self.draw_tab.refresh).style("min-width: 12rem")
-            for icon, by, label in (("left", -1, "Previous curve"), ("right", 1, "Next curve")):
+            for icon, by, label in (
+                ("left", -1, "Previous curve"),
+                ("right", 1, "Next curve"),
+            ):
                 ui.button(
-                    icon=f"chevron_{icon}", on_click=lambda _, by=by: self._step_curves(names, by)
+                    icon=f"chevron_{icon}",
+                    on_click=lambda _, by=by: self._step_curves(names, by),
                 ).props(f'flat round aria-label="{label}"')
             ui.label(f"{names.index(self.name) + 1} of {len(names)}").classes("quiet")
         view = self.workspace.view_curve(self.name, self.collapses)
@@ -65,7 +69,11 @@ class CurvesView:
             "what is stated is written "
             "into the JSON file beside the table and counts in every command."
         ).classes("quiet")
-        plot = ui.plotly(curve_figure(view)).classes("w-full").style("height: min(26rem, 70vh)")
+        plot = (
+            ui.plotly(curve_figure(view))
+            .classes("w-full")
+            .style("height: min(26rem, 70vh)")
+        )
         plot.on("plotly_relayout", lambda event: self._take_moved(view, event))
         self._draw_fields(view)
         ui.label(view.report).classes("lines" if view.fitted else "lines problem")
@@ -80,7 +88,9 @@ class CurvesView:
                     label,
                     value=None if value is None else float(f"{MICRO * value:.5g}"),
                     placeholder="" if found is None else f"{MICRO * found:.4g}",
-                ).props("clearable debounce=700 stack-label").style("width: 10rem").on_value_change(
+                ).props("clearable debounce=700 stack-label").style(
+                    "width: 10rem"
+                ).on_value_change(
                     lambda event, key=key: self._take_typed(view, key, event.value)
                 )
             ui.button("As found", on_click=lambda: self._state_values(view, {})).props(
@@ -189,7 +199,9 @@ def _draw_line(key: str, value: float | None) -> Document:
     label: Document = {"text": name, "font": {"size": 11, "color": colour}}
     if key.endswith("_s"):
         place = {"x0": at, "x1": at, "y0": 0, "y1": 1, "yref": "paper"}
-        side = "left" if key == "t_Rmax_s" else "right"  # towards the frames between the two
+        side = (
+            "left" if key == "t_Rmax_s" else "right"
+        )  # towards the frames between the two
         # at different ends, since they may be close to one another on a narrow screen
         end = "start" if key == "t_Rmax_s" else "end"
         label |= {"textangle": 0, "textposition": end, "xanchor": side}
@@ -197,4 +209,9 @@ def _draw_line(key: str, value: float | None) -> Document:
         place = {"y0": at, "y1": at, "x0": 0, "x1": 1, "xref": "paper"}
         label |= {"textposition": "end"}
     line = {"color": colour, "width": 2, "dash": dash}
-    return {"type": "line", "visible": value is not None, "line": line, "label": label} | place
+    return {
+        "type": "line",
+        "visible": value is not None,
+        "line": line,
+        "label": label,
+    } | place

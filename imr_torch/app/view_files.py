@@ -80,7 +80,9 @@ class FilesView:
                 )
                 beside = (self.workspace.files_folder / file.name).with_suffix(".json")
                 held += f"; beside it {beside.name}" * beside.exists()
-                ui.label(file.problem or held).classes("problem" if file.problem else "quiet")
+                ui.label(file.problem or held).classes(
+                    "problem" if file.problem else "quiet"
+                )
 
     def _draw_layout(self) -> None:
         """How the files are to be read, where their names do not say it."""
@@ -89,7 +91,9 @@ class FilesView:
             "How to read files whose headers do not say it", icon="tune", value=bool(text)
         ).classes("w-full"):
             field = ui.input(
-                "Layout", value=text, placeholder="radius=R,radius_unit=um,time=t,time_unit=us"
+                "Layout",
+                value=text,
+                placeholder="radius=R,radius_unit=um,time=t,time_unit=us",
             ).classes("w-full")
             ui.button(
                 "Read the files again", on_click=lambda: self._set_layout(field.value or "")
@@ -154,7 +158,9 @@ class MediumView:
         with problems_shown():
             ui.label(self.workspace.find_medium().report()).classes("lines")
 
-    def _set_medium(self, name: str, values: dict[str, tuple[float | None, float | None]]) -> None:
+    def _set_medium(
+        self, name: str, values: dict[str, tuple[float | None, float | None]]
+    ) -> None:
         with problems_notified():
             self.workspace.change_setting("medium", medium_text(name, values))
             ui.notify("Stated; it counts in every command that is run from now on.")

@@ -43,10 +43,12 @@ class ResultsView:
             ).style("min-width: min(24rem, 100%)")
             ui.link("Download everything (zip)", f"/result/{result.name}/archive")
             if result.page:
-                ui.link("Open the page by itself", f"/result/{result.name}/page", new_tab=True)
-            ui.button("Use its options again", on_click=lambda: self.reuse(result.arguments)).props(
-                "outline dense"
-            )
+                ui.link(
+                    "Open the page by itself", f"/result/{result.name}/page", new_tab=True
+                )
+            ui.button(
+                "Use its options again", on_click=lambda: self.reuse(result.arguments)
+            ).props("outline dense")
         ui.label(result.command).classes("command")
         ui.label(f"Started {result.started}").classes("quiet")
         self._draw_content(result)

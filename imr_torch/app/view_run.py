@@ -35,7 +35,9 @@ class RunView:
         go: opens another tab.
     """
 
-    def __init__(self, workspace: Workspace, runs: Runs, go: Callable[[str], object]) -> None:
+    def __init__(
+        self, workspace: Workspace, runs: Runs, go: Callable[[str], object]
+    ) -> None:
         self.workspace = workspace
         self.runs = runs
         self.go = go
@@ -65,9 +67,9 @@ class RunView:
                 for key in row:
                     self._draw_field(key)
         self._draw_more()
-        ui.label("The command, which does the same on a command line in this folder:").classes(
-            "quiet q-mt-sm"
-        )
+        ui.label(
+            "The command, which does the same on a command line in this folder:"
+        ).classes("quiet q-mt-sm")
         self._draw_command()
         ui.button("Run", icon="play_arrow", on_click=self._add_run)
         self._draw_queue()
@@ -85,9 +87,9 @@ class RunView:
                 with ui.row().classes("w-full items-center"), problems_shown():
                     self._draw_field(key)
                     settings = OPTIONS[self.kind][key]
-                    ui.label(settings["help"] % settings).classes("quiet text-caption").style(
-                        "max-width: 40rem"
-                    )
+                    ui.label(settings["help"] % settings).classes(
+                        "quiet text-caption"
+                    ).style("max-width: 40rem")
 
     def _draw_field(self, key: str) -> None:
         values = self.values[self.kind]
@@ -111,7 +113,11 @@ class RunView:
             elif values[key] not in choices:
                 values[key] = next(iter(choices), None)
             field = ui.select(
-                choices, label=label, value=values[key], multiple=many, new_value_mode=composed
+                choices,
+                label=label,
+                value=values[key],
+                multiple=many,
+                new_value_mode=composed,
             )
             field.props("use-chips" * many).style("min-width: min(14rem, 100%)")
         elif isinstance(default, int):
@@ -120,7 +126,9 @@ class RunView:
             field = ui.input(label).style("width: min(20rem, 100%)")
         field.bind_value(values, key)
         # an earlier result shows or hides the models
-        field.on_value_change((self.draw_tab if key == "belief" else self._draw_command).refresh)
+        field.on_value_change(
+            (self.draw_tab if key == "belief" else self._draw_command).refresh
+        )
 
     def _list_choices(self, key: str) -> dict[Any, str] | None:
         """Value -> what it is called, of a field in which one chooses; None of others."""
@@ -148,16 +156,22 @@ class RunView:
                 return LIBRARY
             case "campaigns":
                 results = self.runs.list_results()
-                return [result.name for result in results if result.name.endswith("_campaign")]
+                return [
+                    result.name for result in results if result.name.endswith("_campaign")
+                ]
             case "characterizations":
                 results = self.runs.list_results()
-                return [r.name for r in results if (r.folder / "characterize.json").is_file()]
+                return [
+                    r.name for r in results if (r.folder / "characterize.json").is_file()
+                ]
         raise ValueError(f"forms.toml: nothing is listed for {kind!r}")
 
     @ui.refreshable_method
     def _draw_command(self) -> None:
         with problems_shown():
-            folder = self.values[self.kind].get("continued") or self.runs.next_folder(self.kind)
+            folder = self.values[self.kind].get("continued") or self.runs.next_folder(
+                self.kind
+            )
             ui.label(command_line(self._list_arguments(folder))).classes("command")
 
     @ui.refreshable_method
@@ -170,7 +184,9 @@ class RunView:
             with ui.card().classes("w-full"):
                 said = [f"{result.name}: {result.outcome}"]
                 said += [result.read_text_of("messages.txt")] if result.status else []
-                ui.label("\n".join(said)).classes("lines problem" if result.status else "lines")
+                ui.label("\n".join(said)).classes(
+                    "lines problem" if result.status else "lines"
+                )
                 ui.button("See the result", on_click=lambda: self.go("Results"))
         if run:
             with ui.card().classes("w-full"):
@@ -182,7 +198,9 @@ class RunView:
                 ui.button("Stop", icon="stop", on_click=run.stop).props("outline")
         for number, result in enumerate(self.runs.waiting, start=1):
             with ui.row().classes("w-full items-center no-wrap"):
-                ui.button(icon="close", on_click=lambda _, it=result: self._take_back(it)).props(
+                ui.button(
+                    icon="close", on_click=lambda _, it=result: self._take_back(it)
+                ).props(
                     f'flat dense round aria-label="Take {result.name} out of the queue"'
                 )
                 ui.label(f"{number}. in the queue: {result.name}")

@@ -215,7 +215,8 @@ class Workspace:
     def _load_file(self, path: Path) -> TraceSet:
         beside = path.with_suffix(".json")
         stamps = tuple(
-            (p.stat().st_mtime_ns, p.stat().st_size) if p.exists() else None for p in (path, beside)
+            (p.stat().st_mtime_ns, p.stat().st_size) if p.exists() else None
+            for p in (path, beside)
         )
         return _load_once(path, stamps, self.settings["layout"])
 
@@ -247,7 +248,9 @@ class Workspace:
         count, before, after = prepared.frames[name]
         last = count - after - 1
         said = "\n".join(line.strip() for line in prepared.report().splitlines()[1:])
-        return CurveView(trace, marks, (before, last), float(trace.time_s[last]), said, alone)
+        return CurveView(
+            trace, marks, (before, last), float(trace.time_s[last]), said, alone
+        )
 
     def state_values(self, view: CurveView, values: Mapping[str, float | None]) -> None:
         """Write what a person states about a curve (:func:`imr_torch.observe.state`).
@@ -267,7 +270,9 @@ def in_app_words(error: ImrError) -> str:
     'Write radius_unit=m into Layout (tab Files).'
     """
     return (
-        str(error).replace("--layout", "Layout (tab Files)").replace("--medium", "the tab Medium")
+        str(error)
+        .replace("--layout", "Layout (tab Files)")
+        .replace("--medium", "the tab Medium")
     )
 
 

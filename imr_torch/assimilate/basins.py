@@ -109,7 +109,9 @@ class _Basins:
     before: Tensor
 
     @classmethod
-    def find(cls, posterior: Posterior, point: Point, *, promising: float = 30.0) -> "_Basins":
+    def find(
+        cls, posterior: Posterior, point: Point, *, promising: float = 30.0
+    ) -> "_Basins":
         """From the lowest places of the profile over time zero, of the experiments where a place off
         the points is expected to cost at most ``promising`` nats more; deeper basins were expected
         at most 5 above.
@@ -144,7 +146,8 @@ class _Basins:
         for _ in range(steps):
             point = Point(point.gel, part.fit_nuisances(point)[0])
         found, costs = (
-            x.unflatten(0, places.shape[:2]) for x in (point.nuisances, _nuisance_cost(part, point))
+            x.unflatten(0, places.shape[:2])
+            for x in (point.nuisances, _nuisance_cost(part, point))
         )
         return cls(rows, found, costs, before[:, rows])
 
@@ -157,12 +160,19 @@ class _Basins:
         found = self.nuisances.gather(1, rows)[:, 0]
         lower = costs < self.before - ONE_MINIMUM
         deepest = nuisances.clone()
-        deepest[:, self.rows] = torch.where(lower[..., None], found, nuisances[:, self.rows])
+        deepest[:, self.rows] = torch.where(
+            lower[..., None], found, nuisances[:, self.rows]
+        )
         return deepest
 
 
 def _find_lowest_places(
-    posterior: Posterior, point: Point, *, widest: float = 3.0, count: int = 61, minima: int = 4
+    posterior: Posterior,
+    point: Point,
+    *,
+    widest: float = 3.0,
+    count: int = 61,
+    minima: int = 4,
 ) -> tuple[Tensor, Tensor]:
     """Nuisances ``M x minima x E x w`` at the lowest minima of each experiment's profile over time
     zero, and the cost ``M x minima x E`` that is expected there, infinite at the point itself.
@@ -235,7 +245,9 @@ def _predict_moved(posterior: Posterior, point: Point, reach: Tensor) -> Tensor:
     uncertain = posterior.uncertain.tolist()
     columns = [column for column in uncertain if column != _TIME_ZERO]
     sides = STEP * eye(batch.nuisance_sds.shape[1])[columns]
-    points = torch.cat((point.nuisances[:, None], point.nuisances[:, None] + sides[:, None]), 1)
+    points = torch.cat(
+        (point.nuisances[:, None], point.nuisances[:, None] + sides[:, None]), 1
+    )
     times, order = (batch.times[:, None] + reach.mT[..., None]).flatten(1).sort(1)
     # places may be apart by what frames are apart by
     times = times + 1e-13 * torch.arange(times.shape[1])
@@ -251,7 +263,9 @@ def _predict_moved(posterior: Posterior, point: Point, reach: Tensor) -> Tensor:
         -1, (len(reach), -1)
     )  # M x (1 + S') x E x P x T
     seen = torch.where(batch.mask[:, None], seen, 0.0).movedim(-2, 1)
-    rows = [0] + [1 + columns.index(column) if column in columns else 0 for column in uncertain]
+    rows = [0] + [
+        1 + columns.index(column) if column in columns else 0 for column in uncertain
+    ]
     return seen[:, :, rows]
 
 

@@ -137,7 +137,9 @@ def _fit_model(
             length = float(analysis.whitened_step[: posterior.size].norm())
             # as far along the step as the exact cost is lowest, the point itself included
             move = analysis.mean - mean
-            reach = min(1.0, options.longest / max(float(move[: posterior.size].norm()), 1e-300))
+            reach = min(
+                1.0, options.longest / max(float(move[: posterior.size].norm()), 1e-300)
+            )
             tried = mean + reach * tensor(options.lengths)[:, None] * move
             mean = tried[int(posterior.log_joint(posterior.point_at(tried)).argmax())]
             if progress:
@@ -150,7 +152,9 @@ def _fit_model(
     agreement = abs(costs[-1] - costs[-2])
     point = posterior.point_at(mean)
     prediction = posterior.predict(point)
-    equations = posterior.equations(point, prediction, *_split_slopes(posterior, analysis.jacobian))
+    equations = posterior.equations(
+        point, prediction, *_split_slopes(posterior, analysis.jacobian)
+    )
     return ModelFit(
         prior=posterior.prior,
         mean=point.gel,
@@ -178,7 +182,9 @@ def _analyse_members(
     that failed; each experiment's curve depends on the gel and on its own nuisances.
     """
     batch = posterior.batch
-    prediction = posterior.predict(posterior.point_at(torch.cat((mean[None], mean + deviations))))
+    prediction = posterior.predict(
+        posterior.point_at(torch.cat((mean[None], mean + deviations)))
+    )
     good = torch.isfinite(prediction[1:]).flatten(1).all(1)
     share = float(good.double().mean())
     if share < simulated or not torch.isfinite(prediction[0]).all():
@@ -188,7 +194,9 @@ def _analyse_members(
             "check units and bounds of the prior and the designs."
         )
     sd = batch.sd(prediction[0])
-    owners = eye(len(batch.experiments)).bool().repeat_interleave(len(posterior.uncertain), 0)
+    owners = (
+        eye(len(batch.experiments)).bool().repeat_interleave(len(posterior.uncertain), 0)
+    )
     influence = torch.cat((owners.new_ones(posterior.size, owners.shape[1]), owners))
     analysis = step_from_mean(
         mean,

@@ -228,7 +228,9 @@ def _sample_covariance(ensemble: Tensor) -> Tensor:
 def _check_vectors(ensemble: Tensor, data: Tensor, noise: Tensor) -> None:
     """Shapes as of :func:`analyse_ensemble`, by which those of the others are judged."""
     if ensemble.ndim != 2:
-        raise ShapeError(f"ensemble is {tuple(ensemble.shape)}; expected members x coordinates.")
+        raise ShapeError(
+            f"ensemble is {tuple(ensemble.shape)}; expected members x coordinates."
+        )
     if data.ndim != 1:
         raise ShapeError(f"data is {tuple(data.shape)}; expected one dimension.")
     if tuple(noise.shape) not in {(len(data),), (len(data), len(data))}:

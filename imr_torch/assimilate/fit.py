@@ -15,7 +15,11 @@ from torch import Tensor
 
 from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.gauss_newton import half_log_det
-from imr_torch.assimilate.importance import ImportanceSample, largest_shape, weighted_quantiles
+from imr_torch.assimilate.importance import (
+    ImportanceSample,
+    largest_shape,
+    weighted_quantiles,
+)
 from imr_torch.assimilate.posterior import Neighbourhood, Posterior
 from imr_torch.float64 import tensor
 from imr_torch.material import Belief, Cloud, ModelBelief
@@ -300,10 +304,15 @@ class ModelFit:
         sample = self.sample
         if sample is None:
             return Verdict.UNCHECKED
-        if sample.reliable and sample.as_fitted.divergence_from(self.mean, self.chol) < CONFIRMED:
+        if (
+            sample.reliable
+            and sample.as_fitted.divergence_from(self.mean, self.chol) < CONFIRMED
+        ):
             return Verdict.TRUSTED
         return (
-            Verdict.REPAIRED if sample.reliable and sample.surprise < REPEATED else Verdict.REFUSED
+            Verdict.REPAIRED
+            if sample.reliable and sample.surprise < REPEATED
+            else Verdict.REFUSED
         )
 
     @property
@@ -314,16 +323,14 @@ class ModelFit:
         sample = self.sample
         shape = f"k {sample.pareto_k:.2f}"
         if sample.rounds > 1:
-            shape = (
-                f"k {sample.first_shape:.2f}, {sample.pareto_k:.2f} after {sample.rounds} rounds"
-            )
+            shape = f"k {sample.first_shape:.2f}, {sample.pareto_k:.2f} after {sample.rounds} rounds"
         shape += f", effective {sample.effective_samples:.0f} of {len(sample)}"
         if self.verdict is Verdict.TRUSTED:
-            return (
-                f"interval computation checked: weighted draws confirm the Gaussian fit ({shape})"
-            )
+            return f"interval computation checked: weighted draws confirm the Gaussian fit ({shape})"
         if self.verdict is Verdict.REPAIRED:
-            moved = ((sample.mean - self.mean).abs() / torch.linalg.norm(self.chol, dim=1)).amax()
+            moved = (
+                (sample.mean - self.mean).abs() / torch.linalg.norm(self.chol, dim=1)
+            ).amax()
             return (
                 f"interval computation repaired: from weighted draws, {float(moved):.2f} sd from the "
                 f"Gaussian fit at most ({shape})"
@@ -339,7 +346,10 @@ class ModelFit:
     def nuisances_at(self, controls: BatchControls) -> BatchNuisances:
         """Most probable nuisances given the gel, linearised."""
         deviation = controls - self.mean
-        return self.nuisances + (self.nuisance_response @ deviation[..., None, :, None])[..., 0]
+        return (
+            self.nuisances
+            + (self.nuisance_response @ deviation[..., None, :, None])[..., 0]
+        )
 
     def joint_chol(self, columns: ColumnNumbers) -> CoordinateMatrix:
         """Cholesky factor of the covariance of the gel and some nuisances of each experiment, in the
@@ -395,7 +405,8 @@ class Assimilation:
         (``SearchOptions.drop_behind``).
         """
         return all(
-            fit.certificate.converged or fit.far_behind(self.lowest.cost) for fit in self.fits
+            fit.certificate.converged or fit.far_behind(self.lowest.cost)
+            for fit in self.fits
         )
 
     @property

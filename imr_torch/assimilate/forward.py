@@ -115,7 +115,9 @@ class ForwardModel:
         """Nuisances at their prior means, ``batch_shape x E x w``."""
         return zeros(*batch_shape, *self.batch.nuisance_sds.shape)
 
-    def predict(self, point: Point, *, bundled: bool = False, precise: bool = True) -> BatchFrames:
+    def predict(
+        self, point: Point, *, bundled: bool = False, precise: bool = True
+    ) -> BatchFrames:
         """What the camera would see: ``batch_shape x E x T``, R/Rmax; 0 beyond the last frame, NaN
         where a bubble fails.
 
@@ -158,7 +160,8 @@ class ForwardModel:
             torch.nn.functional.pad(shifts, (0, 0, 1 + len(moves), 0)).unsqueeze(-2),
         )
         points = Point(
-            point.gel.unsqueeze(-2) + steps.gel, point.nuisances.unsqueeze(-3) + steps.nuisances
+            point.gel.unsqueeze(-2) + steps.gel,
+            point.nuisances.unsqueeze(-3) + steps.nuisances,
         )
         if leader is None or all(
             map(torch.equal, (leader.gel, leader.nuisances), (point.gel, point.nuisances))

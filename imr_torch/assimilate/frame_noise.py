@@ -96,7 +96,9 @@ class FrameNoise:
 
     def of_curve(self, number: int) -> "FrameNoise":
         """The noise of one of the curves."""
-        return replace(self, factors=(self.factors[number],), factor_sds=(self.factor_sds[number],))
+        return replace(
+            self, factors=(self.factors[number],), factor_sds=(self.factor_sds[number],)
+        )
 
     def applied(self, batch: ExperimentBatch) -> ExperimentBatch:
         """A batch of the same curves, perhaps with collapse times beside them, with this noise."""
@@ -105,10 +107,14 @@ class FrameNoise:
         for experiment in batch.experiments:
             if isinstance(experiment, Experiment):
                 factor, sd = next(factors)
-                experiments.append(replace(experiment, noise_factor=factor, noise_factor_sd=sd))
+                experiments.append(
+                    replace(experiment, noise_factor=factor, noise_factor_sd=sd)
+                )
             else:
                 experiments.append(experiment)
-        return replace(batch, experiments=tuple(experiments), noise=self.law, noise_laws=self.laws)
+        return replace(
+            batch, experiments=tuple(experiments), noise=self.law, noise_laws=self.laws
+        )
 
 
 def infer_frame_noise(
@@ -164,7 +170,9 @@ def infer_frame_noise(
     law, laws = grid.sum_deviations(found)
     independent = grid.add_misfit(law, laws, factors)
     widened = interval_factor(fits, independent[0])
-    return FrameNoise(law, laws, tuple(factors.tolist()), tuple(sds.tolist()), independent, widened)
+    return FrameNoise(
+        law, laws, tuple(factors.tolist()), tuple(sds.tolist()), independent, widened
+    )
 
 
 def _of_all_residuals(

@@ -151,7 +151,9 @@ class NormalEquations:
         """Gauss-Newton steps of gel and nuisances."""
         one = self.reduced
         gel = -torch.cholesky_solve(one.gradient[..., None], self.gel_chol)[..., 0]
-        return gel, one.nuisance_step + (one.nuisance_response @ gel[..., None, :, None])[..., 0]
+        return gel, one.nuisance_step + (one.nuisance_response @ gel[..., None, :, None])[
+            ..., 0
+        ]
 
     def with_prior(
         self,
@@ -179,7 +181,9 @@ def half_log_det(chol: BatchControlMatrix) -> Values:
     return chol.diagonal(dim1=-2, dim2=-1).log().sum(-1)
 
 
-def make_definite(hessian: BatchControlMatrix, *, rounding: float = 1e-13) -> BatchControlMatrix:
+def make_definite(
+    hessian: BatchControlMatrix, *, rounding: float = 1e-13
+) -> BatchControlMatrix:
     """Hessians ``... x d x d`` in controls, with eigenvalues of at least 1 where rounding has left
     one that is not positive.
 

@@ -28,7 +28,9 @@ def effective_size(weights: DrawnValues) -> Float[Tensor, ""]:
     return weights.sum().square() / weights.square().sum()
 
 
-def smooth_tail(log_weights: DrawnValues, *, shortest: int = 5) -> tuple[DrawnValues, float]:
+def smooth_tail(
+    log_weights: DrawnValues, *, shortest: int = 5
+) -> tuple[DrawnValues, float]:
     """Pareto-smoothed log weights on the scale of the given ones, and the shape ``k`` of their
     tail.
 
@@ -54,7 +56,9 @@ def smooth_tail(log_weights: DrawnValues, *, shortest: int = 5) -> tuple[DrawnVa
     floor = (
         some.amax() - 600.0
     )  # what is smaller is nothing beside the largest, and would underflow in the fit
-    with np.errstate(all="ignore"):  # a tail that underflows gives NaN, which is dealt with below
+    with np.errstate(
+        all="ignore"
+    ):  # a tail that underflows gives NaN, which is dealt with below
         smoothed, shape = array_stats.psislw(-some.clamp_min(floor).numpy())
     least = int(some.argmin())
     values = (
@@ -79,7 +83,9 @@ def are_reliable(
     """Whether estimates from weighted draws are reliable: a light tail, and ``fewest`` effective
     samples or a tenth of all.
     """
-    return pareto_k <= largest_shape(samples) and effective_samples >= max(fewest, 0.1 * samples)
+    return pareto_k <= largest_shape(samples) and effective_samples >= max(
+        fewest, 0.1 * samples
+    )
 
 
 def weighted_quantiles(
@@ -98,7 +104,9 @@ def weighted_quantiles(
     return torch.from_numpy(np.interp(levels.numpy(), below.numpy(), values[order].numpy()))
 
 
-def weighted_moments(points: DrawnControls, weights: DrawnValues) -> tuple[Controls, ControlMatrix]:
+def weighted_moments(
+    points: DrawnControls, weights: DrawnValues
+) -> tuple[Controls, ControlMatrix]:
     """Mean and covariance of weighted draws.
 
     >>> import torch
@@ -130,7 +138,9 @@ class NoiseSample:
     @cached_property
     def log_likelihood(self) -> DrawnValues:
         """Log likelihood of all experiments, the noise integrated over its prior."""
-        return torch.logsumexp(self.by_experiment.sum(2) + self.nodes.log_prior.flatten(), 1)
+        return torch.logsumexp(
+            self.by_experiment.sum(2) + self.nodes.log_prior.flatten(), 1
+        )
 
 
 class SmoothedWeights:
@@ -213,7 +223,9 @@ class ImportanceSample(SmoothedWeights):
 
         Nuisances are integrated out, and the noise where it is uncertain.
         """
-        return self.by_experiment.sum(1) if self.noise is None else self.noise.log_likelihood
+        return (
+            self.by_experiment.sum(1) if self.noise is None else self.noise.log_likelihood
+        )
 
     @property
     def log_target(self) -> DrawnValues:
@@ -265,7 +277,9 @@ class ImportanceSample(SmoothedWeights):
             mean: ``d`` tensor.
             chol: Cholesky factor of the covariance; so is the second that is returned.
         """
-        whitened = torch.linalg.solve_triangular(chol, (self.controls - mean).mT, upper=False)
+        whitened = torch.linalg.solve_triangular(
+            chol, (self.controls - mean).mT, upper=False
+        )
         weights = torch.softmax(-0.5 * whitened.square().sum(0) - self.log_proposal, dim=0)
         centre, covariance = weighted_moments(self.controls, weights)
         before, after = map(torch.linalg.cholesky, (covariance, self.covariance))
@@ -296,7 +310,10 @@ class ImportanceSample(SmoothedWeights):
         """
         found, other = (
             MultivariateNormal(at, scale_tril=root, validate_args=False)
-            for at, root in ((self.mean, torch.linalg.cholesky(self.covariance)), (mean, chol))
+            for at, root in (
+                (self.mean, torch.linalg.cholesky(self.covariance)),
+                (mean, chol),
+            )
         )
         size = len(mean)
         chance = 0.25 * size * (size + 3) * (1.0 / self.effective_samples + 1.0 / behind)
@@ -331,7 +348,9 @@ class ImportanceSample(SmoothedWeights):
         shape = min(self.pareto_k, 2.0)
         tail = min(0.2 * count, 3.0 * math.sqrt(count))
         shape = min(shape + (1.0 + shape) / math.sqrt(tail), 2.0)
-        return math.hypot(self._weight_spread, max(count ** (shape - 1.0) - count**-0.5, 0.0))
+        return math.hypot(
+            self._weight_spread, max(count ** (shape - 1.0) - count**-0.5, 0.0)
+        )
 
     @cached_property
     def mean(self) -> Controls:
@@ -362,7 +381,9 @@ class ImportanceSample(SmoothedWeights):
         same whenever asked for (systematic resampling).
         """
         positions = (arange(count) + start) / count
-        return torch.searchsorted(self.weights.cumsum(0), positions).clamp_max(len(self) - 1)
+        return torch.searchsorted(self.weights.cumsum(0), positions).clamp_max(
+            len(self) - 1
+        )
 
     def resample_draws(self, count: int, source: torch.Generator) -> Int[Tensor, "count"]:
         """The same from a random start and in random order."""

@@ -69,7 +69,11 @@ class Descent:
     @cached_property
     def gradient(self) -> float:
         """Length of the gradient in posterior standard deviations."""
-        return float(self.equations.whitened_gradient) if math.isfinite(self.cost) else math.inf
+        return (
+            float(self.equations.whitened_gradient)
+            if math.isfinite(self.cost)
+            else math.inf
+        )
 
     def distance_to(self, point: Point) -> float:
         """Distance of another point's gel, posterior standard deviations."""
@@ -190,7 +194,8 @@ class _FrozenCost:
     def hessian_at(self, x: Vector) -> Vector:
         """The Hessian."""
         return (
-            self._recall_at(x).equations.joint_hessian(self.posterior.uncertain).numpy() + self.bend
+            self._recall_at(x).equations.joint_hessian(self.posterior.uncertain).numpy()
+            + self.bend
         )
 
     def _update_curvature(self, old: Neighbourhood, new: Neighbourhood) -> None:

@@ -96,7 +96,9 @@ def assimilate(
     if starts is not None:
         points = given_starts(posteriors, starts, nuisances)
     elif near is not None:
-        points = [starts_beside(p, near[p.prior.model], options, source) for p in posteriors]
+        points = [
+            starts_beside(p, near[p.prior.model], options, source) for p in posteriors
+        ]
     else:
         points = [best_prior_draws(p, options, source) for p in posteriors]
     masking = (
@@ -150,7 +152,9 @@ class _Reports:
         count = len(self.searches)
         if count > 1:
             step = f"{len(self.fitted)} of {count} models fitted"
-            part = sum(map(_expect_work, self.fitted)) / sum(map(_expect_work, self.searches))
+            part = sum(map(_expect_work, self.fitted)) / sum(
+                map(_expect_work, self.searches)
+            )
             if self.masking:
                 part = 0.5 * (self.begun / count + part)
         if self.progress:
@@ -239,5 +243,7 @@ def _conclude_fit(search: ModelSearch) -> ModelFit:
     end = min(same, key=lambda one: one.gradient)
     agreement = search.agreement
     converged = end.gradient < options.gradient and agreement < options.agreement
-    certificate = Certificate(end.gradient, agreement, end.iterations, end.failed_share, converged)
+    certificate = Certificate(
+        end.gradient, agreement, end.iterations, end.failed_share, converged
+    )
     return ModelFit.about(end.near, certificate)

@@ -28,7 +28,9 @@ def matern_whitened(
     smooth: LawValues,
     rates: LawValues,
     columns: Float[Tensor, "columns experiments frames"],
-) -> tuple[Float[Tensor, "laws columns experiments frames"], Float[Tensor, "laws experiments"]]:
+) -> tuple[
+    Float[Tensor, "laws columns experiments frames"], Float[Tensor, "laws experiments"]
+]:
     """Columns whitened under independent noise and a smooth Gaussian process, by Kalman filters
     side by side.
 
@@ -79,7 +81,9 @@ def _filter_curves(
         variance, rate = smooth[law], rates[law]
         bent = variance * rate**2  # of the process's derivative
         for curve in range(noise.shape[1]):
-            state = np.zeros((count, 2))  # value and derivative, as the frames before predict them
+            state = np.zeros(
+                (count, 2)
+            )  # value and derivative, as the frames before predict them
             p00, p01, p11 = variance, 0.0, bent
             total_log = 0.0
             for frame in range(noise.shape[2]):
@@ -96,7 +100,10 @@ def _filter_curves(
                     q00 = p00 - variance  # what the last frame told, carried on to this one
                     q11 = p11 - bent
                     p00, p01, p11 = (
-                        variance + a00 * a00 * q00 + 2.0 * a00 * a01 * p01 + a01 * a01 * q11,
+                        variance
+                        + a00 * a00 * q00
+                        + 2.0 * a00 * a01 * p01
+                        + a01 * a01 * q11,
                         a00 * a10 * q00 + (a00 * a11 + a01 * a10) * p01 + a01 * a11 * q11,
                         bent + a10 * a10 * q00 + 2.0 * a10 * a11 * p01 + a11 * a11 * q11,
                     )

@@ -56,7 +56,9 @@ class ModelSearch:
     def agreement(self) -> float:
         """Cost of the second lowest end minus that of the lowest, nats."""
         costs = sorted(end.cost for end in self.minima)
-        return costs[1] - costs[0] if len(costs) > 1 and math.isfinite(costs[0]) else math.inf
+        return (
+            costs[1] - costs[0] if len(costs) > 1 and math.isfinite(costs[0]) else math.inf
+        )
 
     def approach_first(self) -> float:
         """Lower the first start without the frames next to collapses; returns its cost."""
@@ -88,14 +90,22 @@ class ModelSearch:
         options = self.options.descent
         if options.sifted is None or len(self.starts) <= options.sifted:
             return self.starts
-        posterior = without_collapses(self.posterior.coarse) if self.masking else self.posterior
+        posterior = (
+            without_collapses(self.posterior.coarse) if self.masking else self.posterior
+        )
         ends = [
             descend_from(
-                posterior, start, None, gradient=options.own_steps, iterations=options.sifting
+                posterior,
+                start,
+                None,
+                gradient=options.own_steps,
+                iterations=options.sifting,
             )
             for start in self.starts
         ]
-        return [end.point for end in sorted(ends, key=lambda end: end.cost)[: options.sifted]]
+        return [
+            end.point for end in sorted(ends, key=lambda end: end.cost)[: options.sifted]
+        ]
 
     def enter_deeper_basins(self) -> None:
         """Descend again where the nuisances of an experiment have a deeper basin at the gel found."""
@@ -104,7 +114,9 @@ class ModelSearch:
             here = end.point.nuisances
             if not end.cost < self.limit:
                 break
-            deeper = deeper_nuisances(self.posterior, Point(end.point.gel[None], here[None]))[0]
+            deeper = deeper_nuisances(
+                self.posterior, Point(end.point.gel[None], here[None])
+            )[0]
             if torch.equal(deeper, here):
                 break
             self._enter_basin(deeper)
@@ -127,7 +139,9 @@ class ModelSearch:
         end = self.lowest
         beside = self._move_away(end, self.options.descent.restart)
         self._add_minimum(Point(end.point.gel, deeper))
-        self._add_minimum(Point(beside.gel, beside.nuisances + deeper - end.point.nuisances))
+        self._add_minimum(
+            Point(beside.gel, beside.nuisances + deeper - end.point.nuisances)
+        )
         self._agree_nearby()
 
     def _cost_at(self, point: Point) -> float:
@@ -173,7 +187,9 @@ class ModelSearch:
         options = self.options.descent
         limit = self._highest_useful()
 
-        def lower_cost(leader: Point | None, gradient: float, reach: float = math.inf) -> Descent:
+        def lower_cost(
+            leader: Point | None, gradient: float, reach: float = math.inf
+        ) -> Descent:
             return descend_from(
                 self.posterior,
                 point,
@@ -202,10 +218,18 @@ class ModelSearch:
             end = lower_cost(leader, self.options.gradient, math.inf if shared else reach)
             left -= end.iterations
             close = options.shared_distance if shared else options.leader_distance
-            arrived = end.gradient < self.options.gradient and end.distance_to(leader) < close
+            arrived = (
+                end.gradient < self.options.gradient and end.distance_to(leader) < close
+            )
             # where no step of its own bubbles lowers the cost, as beside gels whose bubbles fail
             stuck = not shared and end.distance_to(point) == 0.0
-            if arrived or stuck or end.iterations == 0 or left <= 0 or _is_behind(end, limit):
+            if (
+                arrived
+                or stuck
+                or end.iterations == 0
+                or left <= 0
+                or _is_behind(end, limit)
+            ):
                 self.minima.append(replace(end, iterations=self.options.iterations - left))
                 return
             point = end.point

@@ -85,12 +85,20 @@ def assimilate_estimating_noise(
         batch = replace(batch, noise=replace(batch.noise, kink=FIRST_KINK))
     options = options or SearchOptions()
 
-    def fit_models(batch: ExperimentBatch, number: int, near: Assimilation | None) -> Assimilation:
+    def fit_models(
+        batch: ExperimentBatch, number: int, near: Assimilation | None
+    ) -> Assimilation:
         own = child(seed, "round", number) if number else seed
         last = number == rounds
         if isinstance(options, En4DVarOptions):
             return assimilate_en4dvar(
-                belief, batch, simulator, seed=own, options=options, near=near, progress=progress
+                belief,
+                batch,
+                simulator,
+                seed=own,
+                options=options,
+                near=near,
+                progress=progress,
             )
         rough = replace(
             options,
@@ -116,7 +124,9 @@ def assimilate_estimating_noise(
             result = fit_models(kept, 0, result)
     for number in range(1, rounds + 1):
         scattered = replace(result.batch, experiments=with_scatter(result))
-        batch = with_inferred_noise(scattered, result, law, simulator, widen=number == rounds)
+        batch = with_inferred_noise(
+            scattered, result, law, simulator, widen=number == rounds
+        )
         if progress:
             progress(ProgressLine(f"noise {batch.noise}", stage="noise"))
         result = fit_models(batch, number, result)
@@ -198,9 +208,12 @@ def with_scatter(result: Assimilation) -> tuple[Experiment | CollapseTime, ...]:
     precision = best.nuisance_chol[rows].square().sum((-2, -1))  # trace, 3 without data
     slopes = square * (precision - 3.0).clamp_min(0.0)
     gel = len(best.mean) - float(best.chol.square().sum())
-    scatter = estimate_scatter(left * (1.0 + slopes / square), stated + slopes, max(gel, 0.0))
+    scatter = estimate_scatter(
+        left * (1.0 + slopes / square), stated + slopes, max(gel, 0.0)
+    )
     return tuple(
-        replace(e, scatter=scatter) if isinstance(e, CollapseTime) else e for e in batch.experiments
+        replace(e, scatter=scatter) if isinstance(e, CollapseTime) else e
+        for e in batch.experiments
     )
 
 

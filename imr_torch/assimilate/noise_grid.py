@@ -124,8 +124,12 @@ class FittedCurves:
         """``J x E x T`` tensor, variance of the noise at scale 1, without its kink."""
         laws, which = values[:, :3].unique(dim=0, return_inverse=True)
         slope, drift, floor = laws.T[..., None, None]
-        grown = slope * (self.near.centre - 1.0).abs() + drift * self.near.posterior.batch.times
-        return ((grown.square() + floor.square()) * factors[self.place, None].square())[which]
+        grown = (
+            slope * (self.near.centre - 1.0).abs() + drift * self.near.posterior.batch.times
+        )
+        return ((grown.square() + floor.square()) * factors[self.place, None].square())[
+            which
+        ]
 
     def whiten_columns(
         self, values: Tensor, factors: Tensor, level: Tensor, columns: Tensor
@@ -138,7 +142,9 @@ class FittedCurves:
         noise = self.noise_variance(values, factors) + kink.square()
         smooth = values[:, 4].square() * level
         times = batch.times
-        return matern_whitened(times, self.rows, noise, smooth, MATERN / values[:, 5], columns)
+        return matern_whitened(
+            times, self.rows, noise, smooth, MATERN / values[:, 5], columns
+        )
 
     @cached_property
     def columns(self) -> Tensor:
@@ -148,7 +154,9 @@ class FittedCurves:
         scale = self.near.posterior.batch.counts.sqrt()
         return torch.where(self.rows, self.near.columns * scale, 0.0).nan_to_num()
 
-    def describe_locally(self, values: Tensor, factors: Tensor, level: Tensor) -> LocalNoise:
+    def describe_locally(
+        self, values: Tensor, factors: Tensor, level: Tensor
+    ) -> LocalNoise:
         """What the linearisation says of the data under each combination, at scale 1."""
         seen, log_det = self.whiten_columns(values, factors, level, self.columns)
         return LocalNoise(
@@ -188,10 +196,16 @@ class NoiseGrid:
         ]
         shares = split_probability(prior.exact, len(prior.kinks))
         kinks = list(zip((0.0, *prior.kinks), shares, strict=True))
-        of_laws, of_kinks, of_deviations = map(tensor, (laws, kinks, _deviations(fits, prior)))
-        level = _mean_variance(curves, of_laws, ones(sum(len(near.centre) for near in fits))).sqrt()
+        of_laws, of_kinks, of_deviations = map(
+            tensor, (laws, kinks, _deviations(fits, prior))
+        )
+        level = _mean_variance(
+            curves, of_laws, ones(sum(len(near.centre) for near in fits))
+        ).sqrt()
         own = level[:, None] / prior.level[0] * of_kinks[:, 0]
-        laws = torch.cat((of_laws[:, :3].repeat_interleave(len(kinks), 0), own.reshape(-1, 1)), 1)
+        laws = torch.cat(
+            (of_laws[:, :3].repeat_interleave(len(kinks), 0), own.reshape(-1, 1)), 1
+        )
         shares = (of_laws[:, 3:] * of_kinks[:, 1]).reshape(-1, 1) * of_deviations[:, 2]
         return cls(curves, prior, laws, of_deviations[:, :2], shares.log().flatten())
 
@@ -227,7 +241,9 @@ class NoiseGrid:
         floors = values[:, 2]
         least = math.log(self.prior.least) - floors.log()
         too_small = log_scales < least
-        if too_small.all():  # only the error of the solver is left, which is nearly constant
+        if (
+            too_small.all()
+        ):  # only the error of the solver is left, which is nearly constant
             log_scales, too_small = least, floors < floors.max()
         value = torch.where(too_small, -torch.inf, value)
         return torch.stack((value - value.logsumexp(0), log_scales, sds))
@@ -245,7 +261,9 @@ class NoiseGrid:
             by_gel, by_nuisance = c.near.slopes
             fitted = by_gel.shape[-1] / len(by_gel) + by_nuisance.shape[-1]
             used = c.rows.sum(1)
-            parts.append((seen[0, 0].square().sum(-1), used, (used - fitted).clamp_min(1.0)))
+            parts.append(
+                (seen[0, 0].square().sum(-1), used, (used - fitted).clamp_min(1.0))
+            )
         square, used, count = map(torch.cat, zip(*parts, strict=True))
         others = square.sum() - square, count.sum() - count
         log_factor = 0.5 * (square / count / (others[0] / others[1])).log()
@@ -255,7 +273,9 @@ class NoiseGrid:
             0.5 * log_factor.square() * (1.0 / variance - 1.0 / wide)
             - 0.5 * (wide / variance).log()
         )
-        gain = torch.where((used >= self.prior.own_frames) & (factors == 1.0), gain, -torch.inf)
+        gain = torch.where(
+            (used >= self.prior.own_frames) & (factors == 1.0), gain, -torch.inf
+        )
         needed = math.log((1.0 - self.prior.own) / self.prior.own * len(square))
         return log_factor.exp(), variance.sqrt(), gain - needed
 
@@ -268,7 +288,9 @@ class NoiseGrid:
             logs.append(sd[c.rows].log())
         return torch.cat(logs).mean()
 
-    def add_misfit(self, law: Noise, laws: NoiseLaws, factors: Tensor) -> tuple[Noise, NoiseLaws]:
+    def add_misfit(
+        self, law: Noise, laws: NoiseLaws, factors: Tensor
+    ) -> tuple[Noise, NoiseLaws]:
         """The law and the laws if residuals are independent: beside the noise of single frames, an
         error of the model that is of one size in all frames.
         """
@@ -281,7 +303,9 @@ class NoiseGrid:
         level = ones(len(tried))
         local = [c.describe_locally(values, factors, level) for c in self.curves]
         marginal = sum_marginals(local, zeros(len(tried)))  # at their own scales
-        marginal += tensor(split_probability(self.prior.none, len(self.prior.misfits))).log()
+        marginal += tensor(
+            split_probability(self.prior.none, len(self.prior.misfits))
+        ).log()
         shares = torch.softmax(marginal, 0)
         logs = torch.stack([self.log_sd(one) for one in tried])
         within = torch.softmax(marginal[1:], 0)
@@ -324,7 +348,9 @@ class NoiseGrid:
         return central, NoiseLaws(tuple(laws), shares, spreads.sqrt())
 
 
-def _mean_variance(curves: Sequence[FittedCurves], values: Tensor, factors: Tensor) -> Tensor:
+def _mean_variance(
+    curves: Sequence[FittedCurves], values: Tensor, factors: Tensor
+) -> Tensor:
     """``J`` tensor, mean variance of the noise without its kink over the frames that are used."""
     sums = [(c.noise_variance(values, factors) * c.rows).sum((1, 2)) for c in curves]
     return torch.stack(sums).sum(0) / sum(c.rows.sum() for c in curves)

@@ -73,7 +73,9 @@ class LocalNoise:
         found = []
         for law in laws:
             batch = replace(
-                near.posterior.batch, noise=replace(law, scale=1.0, widened=1.0), noise_laws=None
+                near.posterior.batch,
+                noise=replace(law, scale=1.0, widened=1.0),
+                noise_laws=None,
             )
             sd = batch.sd(near.centre)
             square, normaliser = batch.terms(near.centre, sd, batch.innovations)
@@ -90,7 +92,11 @@ class LocalNoise:
         The Hessian of each experiment's nuisances is a multiple of that at scale 1 and the identity,
         so its modes serve all scales.
         """
-        equations, gel, precision = self.equations, self.point.gel, torch.exp(-2.0 * log_scales)
+        equations, gel, precision = (
+            self.equations,
+            self.point.gel,
+            torch.exp(-2.0 * log_scales),
+        )
         sizes, turned = self._nuisance_modes
         p = precision[..., None, None]
         cross, gradient, here = turned[:, None].tensor_split((len(gel), len(gel) + 1), -1)
@@ -160,12 +166,16 @@ def best_scales(
     """
     centre = (
         0.5
-        * (torch.stack([fit.square for fit in fits]).sum(0) / sum(fit.size for fit in fits)).log()
+        * (
+            torch.stack([fit.square for fit in fits]).sum(0) / sum(fit.size for fit in fits)
+        ).log()
     )
     width = torch.full_like(centre, 1.0)
     for half in halves:
         tried = centre[:, None] + tensor([-half, 0.0, half])
-        low, middle, high = torch.stack([fit.marginal(tried) for fit in fits]).sum(0).unbind(1)
+        low, middle, high = (
+            torch.stack([fit.marginal(tried) for fit in fits]).sum(0).unbind(1)
+        )
         slope = (high - low) / (2.0 * half)
         bend = (2.0 * middle - low - high) / half**2
         bend = bend.clamp_min(0.5)
@@ -216,7 +226,8 @@ def _variances(near: Neighbourhood, law: Noise, drifting: Noise) -> tuple[float,
     batch = near.posterior.batch
     factors = batch.noise_factors / batch.counts.sqrt()
     sd, true_sd = (
-        noise.sd(near.centre, batch.times, batch.bends) * factors for noise in (law, drifting)
+        noise.sd(near.centre, batch.times, batch.bends) * factors
+        for noise in (law, drifting)
     )
     by_gel, by_nuisance = (
         torch.where(batch.mask, 1.0 / sd, 0.0)[..., None] * x for x in near.slopes
@@ -231,7 +242,9 @@ def _variances(near: Neighbourhood, law: Noise, drifting: Noise) -> tuple[float,
     return float((inverse @ scatter).trace()), float((inverse @ told).trace())
 
 
-def law_of_repeats(batches: Sequence[ExperimentBatch], law: Noise) -> tuple[Noise, NoiseLaws]:
+def law_of_repeats(
+    batches: Sequence[ExperimentBatch], law: Noise
+) -> tuple[Noise, NoiseLaws]:
     """The most probable law of the deviations of repeats from their mean, independent or correlated
     between frames.
 
@@ -259,7 +272,9 @@ def law_of_repeats(batches: Sequence[ExperimentBatch], law: Noise) -> tuple[Nois
     times = (0.0, *(() if gaps else CORRELATION_TIMES))
     for time, share in zip(times, shares, strict=False):
         laws = [
-            replace(law, scale=1.0, floor=ratio * law.floor, correlation_time=time, widened=1.0)
+            replace(
+                law, scale=1.0, floor=ratio * law.floor, correlation_time=time, widened=1.0
+            )
             for ratio in _FLOORS
         ]
         square, normaliser = zeros(2, len(laws))
@@ -271,13 +286,17 @@ def law_of_repeats(batches: Sequence[ExperimentBatch], law: Noise) -> tuple[Nois
             parts = batch.terms(batch.mean, sds, innovations)
             square += parts[0].sum(1)
             normaliser += parts[1].sum(1)
-        value = -0.5 * repeats * square.log() - repeats / sizes * normaliser + math.log(share)
+        value = (
+            -0.5 * repeats * square.log() - repeats / sizes * normaliser + math.log(share)
+        )
         row = int(torch.nonzero(value >= value.max() - TIE)[0])
         if float(value[row]) > best:
             best = float(value[row])
             found = replace(laws[row], scale=math.sqrt(float(square[row]) / repeats))
     one = ones(1)
-    return found, NoiseLaws((found,), one, one / math.sqrt(2.0 * repeats), of_residuals=False)
+    return found, NoiseLaws(
+        (found,), one, one / math.sqrt(2.0 * repeats), of_residuals=False
+    )
 
 
 @dataclass(frozen=True)
@@ -322,12 +341,16 @@ class NoiseNodes:
         laws = tuple(known.laws[i] for i in kept.tolist())
         steps = arange(-reach, reach + 1)
         log_factors = known.log_scale_sds[kept, None] * steps
-        shares = torch.log_softmax(-0.5 * steps.square(), 0) + known.weights[kept, None].log()
+        shares = (
+            torch.log_softmax(-0.5 * steps.square(), 0) + known.weights[kept, None].log()
+        )
         shares = shares - shares.flatten().logsumexp(0)
         scales = tensor([[law.scale] for law in laws])
         marginal = LocalNoise.of(near, laws).marginal(scales.log() + log_factors)
         return cls(
-            laws, log_factors, shares - marginal + (shares + marginal).flatten().logsumexp(0)
+            laws,
+            log_factors,
+            shares - marginal + (shares + marginal).flatten().logsumexp(0),
         )
 
     def __len__(self) -> int:
@@ -353,5 +376,7 @@ class NoiseNodes:
         own = replace(batch, noise=self.laws[law], noise_laws=None)
         square, normaliser = own.terms(prediction, own.sd(prediction), own.innovations)
         factors = self.log_factors[law].reshape(-1, *[1] * square.ndim)
-        value = -0.5 * square * torch.exp(-2.0 * factors) - normaliser - batch.sizes * factors
+        value = (
+            -0.5 * square * torch.exp(-2.0 * factors) - normaliser - batch.sizes * factors
+        )
         return torch.where(torch.isnan(value), -torch.inf, value)

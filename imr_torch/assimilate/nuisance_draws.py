@@ -54,7 +54,8 @@ class NuisanceBasin:
     def place_nuisances(
         self, controls: DrawnControls, placement: Placement
     ) -> tuple[
-        Float[Tensor, "draws rows nuisances"], Float[Tensor, "draws rows nuisances nuisances"]
+        Float[Tensor, "draws rows nuisances"],
+        Float[Tensor, "draws rows nuisances nuisances"],
     ]:
         """Centres of the nuisances given each gel, and lower Cholesky factors of their Hessians."""
         moved = self.fit.nuisances_at(controls)
@@ -112,9 +113,13 @@ class NuisanceDraws:
         count = self.nuisances.shape[1] // len(self.basins)
         controls = self.controls.repeat_interleave(count, 0)
         parts = list[Tensor]()
-        for basin, nuisances in zip(self.basins, self.nuisances.split(count, dim=1), strict=True):
+        for basin, nuisances in zip(
+            self.basins, self.nuisances.split(count, dim=1), strict=True
+        ):
             own = nuisances[:, :, basin.rows]
-            seen = basin.posterior.predict(Point(controls, own.flatten(0, 1)), precise=False)
+            seen = basin.posterior.predict(
+                Point(controls, own.flatten(0, 1)), precise=False
+            )
             seen = seen.unflatten(0, own.shape[:2])
             if parts:
                 missing = parts[0].shape[-1] - seen.shape[-1]
@@ -197,7 +202,9 @@ def standard_log_prob(values: Tensor) -> Tensor:
     return -0.5 * (values.square() + math.log(2.0 * math.pi))
 
 
-def pick_columns(log_weights: Float[Tensor, "rows columns"], source: torch.Generator) -> RowNumbers:
+def pick_columns(
+    log_weights: Float[Tensor, "rows columns"], source: torch.Generator
+) -> RowNumbers:
     """One column of each row, in proportion to its weight."""
     shares = torch.softmax(log_weights.nan_to_num(neginf=-1e300), 1)
     return torch.multinomial(shares, 1, generator=source)[:, 0]

@@ -20,7 +20,9 @@ class CheckedOptions:
     """
 
     def __post_init__(self) -> None:
-        numbers = (name for name, value in vars(self).items() if isinstance(value, int | float))
+        numbers = (
+            name for name, value in vars(self).items() if isinstance(value, int | float)
+        )
         check_at_least(self, 0, *numbers)
 
 

@@ -159,7 +159,9 @@ class Posterior(ForwardModel):
             slopes = (x.expand(len(point.gel), *x.shape) for x in beside.slopes)
             equations = self.equations(point, torch.where(known, prediction, 0.5), *slopes)
         step = equations.reduced.nuisance_step
-        step = step * (longest / step.norm(dim=-1, keepdim=True).clamp_min(1e-300)).clamp_max(1.0)
+        step = step * (
+            longest / step.norm(dim=-1, keepdim=True).clamp_min(1e-300)
+        ).clamp_max(1.0)
         root = torch.linalg.cholesky(equations.nuisance_hessian)
         return torch.where(known, point.nuisances + step, point.nuisances), root
 

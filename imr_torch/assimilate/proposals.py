@@ -91,7 +91,9 @@ class Kernels:
         return replace(
             self,
             centres=torch.cat((self.centres, self.mean[None])),
-            weights=torch.cat(((1.0 - share) * self.weights, self.weights.new_tensor([share]))),
+            weights=torch.cat(
+                ((1.0 - share) * self.weights, self.weights.new_tensor([share]))
+            ),
             chols=torch.cat((self.chols, scale * self.chol[None])),
         )
 
@@ -104,7 +106,9 @@ class Kernels:
         """
         if self.precisions is None:
             return None
-        return self.precisions[self._square_distances(points)[: len(self.precisions)].argmin(0)]
+        return self.precisions[
+            self._square_distances(points)[: len(self.precisions)].argmin(0)
+        ]
 
     def _square_distances(self, points: Tensor) -> Tensor:
         """``J x n`` tensor, from each kernel in its own scale."""
@@ -112,7 +116,9 @@ class Kernels:
         gaps = torch.einsum("jab,jnb->jna", whiten, points - self.centres[:, None])
         return gaps.square().sum(-1)
 
-    def draw_points(self, count: int, source: torch.Generator) -> Float[Tensor, "count controls"]:
+    def draw_points(
+        self, count: int, source: torch.Generator
+    ) -> Float[Tensor, "count controls"]:
         """``count x d`` independent draws."""
         deviation = student_draws((count, self.centres.shape[1]), self.freedom, source)
         kernel = torch.multinomial(self.weights, count, replacement=True, generator=source)
@@ -140,14 +146,18 @@ def student_draws(
     return normal * (freedom / squares).sqrt()
 
 
-def student_log_prob(square: Values, size: int | Real[Tensor, "..."], freedom: int) -> Values:
+def student_log_prob(
+    square: Values, size: int | Real[Tensor, "..."], freedom: int
+) -> Values:
     """Log density of the standard multivariate Student t in ``size`` dimensions at points of a
     squared length.
     """
     size = torch.as_tensor(size, dtype=square.dtype)
     half = 0.5 * (freedom + size)
     constant = (
-        torch.lgamma(half) - math.lgamma(0.5 * freedom) - 0.5 * size * math.log(freedom * math.pi)
+        torch.lgamma(half)
+        - math.lgamma(0.5 * freedom)
+        - 0.5 * size * math.log(freedom * math.pi)
     )
     return constant - half * torch.log1p(square / freedom)
 

@@ -37,7 +37,9 @@ def find_lower_draw(
     log_target = fit.sample.as_fitted.log_target
     # of the optimum, whose nuisances its Gaussian integrates out
     at_optimum = (
-        -fit.cost - 0.5 * fit.nuisance_log_det - 0.5 * len(fit.mean) * math.log(2.0 * math.pi)
+        -fit.cost
+        - 0.5 * fit.nuisance_log_det
+        - 0.5 * len(fit.mean) * math.log(2.0 * math.pi)
     )
     ahead = float(log_target.max()) - at_optimum
     if fit.far_behind(best) or ahead <= options.lower_draw * math.sqrt(len(fit.nuisances)):

@@ -78,7 +78,11 @@ def trace_ridge(fit: ModelFit, posterior: Posterior) -> Kernels:
     )
     below, above = (_follow_side(optimum, way, posterior) for way in (-axis, axis))
     points = [*reversed(below), optimum, *above]
-    return _place_kernels(points) if len(points) > 2 else Kernels.about_mean(fit.mean, fit.chol)
+    return (
+        _place_kernels(points)
+        if len(points) > 2
+        else Kernels.about_mean(fit.mean, fit.chol)
+    )
 
 
 def _follow_side(
@@ -157,7 +161,8 @@ def _fit_across(
         hessian = across.mT @ reduced.hessian @ across
         step = across @ -torch.linalg.solve(hessian, across.mT @ reduced.gradient)
         promised = -0.5 * float(
-            reduced.gradient @ step + (equations.nuisance_gradient * reduced.nuisance_step).sum()
+            reduced.gradient @ step
+            + (equations.nuisance_gradient * reduced.nuisance_step).sum()
         )
         fitted = Point(near.point.gel, near.point.nuisances + reduced.nuisance_step)
         guess = _RidgePoint(
@@ -183,7 +188,9 @@ def _place_kernels(
     steps = gels.diff(dim=0)
     ways = normalize(torch.cat((steps[:1], gels[2:] - gels[:-2], steps[-1:])), dim=1)
     lengths = steps.norm(dim=1)
-    spacing = 0.5 * torch.cat((2.0 * lengths[:1], lengths[1:] + lengths[:-1], 2.0 * lengths[-1:]))
+    spacing = 0.5 * torch.cat(
+        (2.0 * lengths[:1], lengths[1:] + lengths[:-1], 2.0 * lengths[-1:])
+    )
     across = torch.stack([_normal_plane(way) for way in ways])  # J x d x (d - 1)
     hessian = torch.stack([p.hessian for p in points])
     inside = torch.linalg.inv(across.mT @ hessian @ across)

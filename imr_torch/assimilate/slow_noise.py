@@ -73,7 +73,9 @@ def smooth_deviations(
     noise = (batch.sd(near.centre).square() / batch.counts)[used]
     columns = near.jacobian[:, used].mT
     observed = (batch.mean - near.centre)[used] + columns @ near.coordinates
-    explained = columns @ columns.mT + torch.diag(noise)  # by gel and nuisances, and single frames
+    explained = columns @ columns.mT + torch.diag(
+        noise
+    )  # by gel and nuisances, and single frames
     same = (shot[:, None] == shot).to(noise)
 
     def evidence_of(amount: float, duration: float, share: float) -> Tensor:
@@ -151,7 +153,9 @@ class BesideSlowNoise:
         here = cls.about(near)
         for _ in range(steps):
             law = int(here._of_laws.argmax())
-            step = (here._inverse_root[law].mT @ here._moments[law])[:, 0] - here.near.coordinates
+            step = (here._inverse_root[law].mT @ here._moments[law])[
+                :, 0
+            ] - here.near.coordinates
             for length in (1.0, 0.3, 0.1):
                 point = near.posterior.point_at(here.near.coordinates + length * step)
                 further = cls.about(near.posterior.neighbourhood(point))

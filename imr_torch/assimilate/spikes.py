@@ -22,7 +22,9 @@ def bends(batch: ExperimentBatch, radius: Tensor) -> Tensor:
     three frames: ``E x T``.
     """
     largest = torch.zeros_like(radius)
-    for row, (times, curve, mask) in enumerate(zip(batch.times, radius, batch.mask, strict=True)):
+    for row, (times, curve, mask) in enumerate(
+        zip(batch.times, radius, batch.mask, strict=True)
+    ):
         count = int(mask.sum())
         if count < 5:
             continue
@@ -39,7 +41,9 @@ def lagrange_weights(times: Float[Tensor, "windows 5"]) -> Float[Tensor, "window
     for the neighbours.
     """
     others = times[:, [0, 1, 3, 4]]
-    ratios = (times[:, 2, None, None] - others[:, None]) / (others[:, :, None] - others[:, None])
+    ratios = (times[:, 2, None, None] - others[:, None]) / (
+        others[:, :, None] - others[:, None]
+    )
     ratios.diagonal(dim1=1, dim2=2).fill_(1.0)
     left, right = (-ratios.prod(2)).split(2, 1)
     return torch.cat((left, torch.ones_like(times[:, :1]), right), 1)
@@ -86,7 +90,8 @@ def without_spoilt_frames(
             off = (weights * residual).sum(1).abs()
             over_law = off / (weights * law[row, frames].unfold(0, 5, 1)).norm(dim=1)
             own = torch.minimum(
-                off / _running_median(off, around), over_law / over_law.median().clamp_min(1e-300)
+                off / _running_median(off, around),
+                over_law / over_law.median().clamp_min(1e-300),
             )
             own = torch.where(off > bent[row, frames][2:-2], own, 0.0)
             worst = int(own.argmax())

@@ -54,7 +54,9 @@ def best_prior_draws(
         )
     picked: list[int] = []
     for row in order:
-        if all((draws[row] - draws[other]).norm() > options.descent.apart for other in picked):
+        if all(
+            (draws[row] - draws[other]).norm() > options.descent.apart for other in picked
+        ):
             picked.append(row)
         if len(picked) == options.starts:
             break
@@ -81,7 +83,9 @@ def given_starts(
             f"starts has shapes {shapes}; expected a row or more of {free} free parameters."
         )
     own = [p.mean_nuisances() for p in posteriors] if nuisances is None else nuisances
-    return [Point(rows, n.expand(len(rows), -1, -1)) for rows, n in zip(gels, own, strict=True)]
+    return [
+        Point(rows, n.expand(len(rows), -1, -1)) for rows, n in zip(gels, own, strict=True)
+    ]
 
 
 def starts_beside(

@@ -75,7 +75,9 @@ class _State:
         sample = self.parts[-1]
         if len(self.parts) >= rounds or self.fit.model not in ahead:
             return False
-        hopeless = len(self.parts) > 2 and sample.effective_samples < options.hopeless * len(sample)
+        hopeless = len(
+            self.parts
+        ) > 2 and sample.effective_samples < options.hopeless * len(sample)
         return self.fit.verdict is Verdict.REFUSED and not hopeless
 
 
@@ -279,7 +281,9 @@ def _models_ahead(fits: list[ModelFit], drop_behind: float | None) -> set[str]:
     return near - {model for model, value in evidence.items() if value < most - drop_behind}
 
 
-def _draw_round(state: _State, samples: int, seed: int, options: WeighingOptions) -> NuisanceDraws:
+def _draw_round(
+    state: _State, samples: int, seed: int, options: WeighingOptions
+) -> NuisanceDraws:
     """Draws of the next round.
 
     Nuisances are placed anew for each gel but in a first round where they follow it linearly.

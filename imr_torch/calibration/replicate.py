@@ -206,7 +206,10 @@ def _rank_draws(
     uniforms = rand(len(part.names), generator=generator(child(seed, "lots")))
     below = (draws < part.physical(part.unwhitened(truth.gel))).double().sum(0)
     places = (below + uniforms) / (len(draws) + 1.0)
-    return {"reported": dict(zip(part.names, places.tolist(), strict=True)), "converged": True}
+    return {
+        "reported": dict(zip(part.names, places.tolist(), strict=True)),
+        "converged": True,
+    }
 
 
 def _infer_replicate(
@@ -228,7 +231,11 @@ def _infer_replicate(
     )
     noise = noise_nodes(fitted, simulator) if arrangement.noise_rounds > 0 else None
     result = weigh(
-        fitted, simulator, seed=child(seed, "weigh"), samples=arrangement.samples, noise=noise
+        fitted,
+        simulator,
+        seed=child(seed, "weigh"),
+        samples=arrangement.samples,
+        noise=noise,
     )
     fit = result[truth.model]
     reported = fit.posterior
@@ -276,7 +283,9 @@ def _draw_truth(arrangement: Arrangement, seed: int, simulator: Simulator) -> Tr
         )
         try:
             shots = [
-                laboratory.shoot(tensor(design), seed=child(seed, "shoot", *filter(None, [number])))
+                laboratory.shoot(
+                    tensor(design), seed=child(seed, "shoot", *filter(None, [number]))
+                )
                 for number, design in enumerate(arrangement.designs)
             ]
         except ConvergenceError:

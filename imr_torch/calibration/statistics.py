@@ -81,7 +81,9 @@ def _check_shares(values: Sequence[float], name: str) -> np.ndarray:
     return found
 
 
-def uniformity(values: Sequence[float], *, bins: int | None = None, fewest: int = 5) -> Uniformity:
+def uniformity(
+    values: Sequence[float], *, bins: int | None = None, fewest: int = 5
+) -> Uniformity:
     """Test numbers against the uniform distribution on [0, 1].
 
     Args:

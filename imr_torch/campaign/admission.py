@@ -118,8 +118,9 @@ def check_new(
         curve = curve_hash(experiment)
         if curve in known:
             number = known[curve]
-            waiting = " It was not learnt yet; resuming without telling it again does so." * (
-                number in outstanding
+            waiting = (
+                " It was not learnt yet; resuming without telling it again does so."
+                * (number in outstanding)
             )
             raise InputDataError(
                 f"Experiment {experiment.label!r} has the curve of experiment {number} "

@@ -73,7 +73,9 @@ class ShotForecast:
             "median": self.quantile(0.5),
             "high": self.quantile(0.9),
         }
-        finite = {name: count if count < math.inf else None for name, count in found.items()}
+        finite = {
+            name: count if count < math.inf else None for name, count in found.items()
+        }
         return finite | {"reached": float(self.weights[self.counts < math.inf].sum())}
 
 
@@ -183,7 +185,9 @@ def camera_variants(plan: Plan) -> dict[str, Plan]:
     [('designs chosen', 81, 5), ('a camera twice as fast', 161, 5)]
     """
     times = plan.times
-    fast = replace(plan, times=torch.cat((times, 0.5 * (times[1:] + times[:-1]))).sort().values)
+    fast = replace(
+        plan, times=torch.cat((times, 0.5 * (times[1:] + times[:-1]))).sort().values
+    )
     dim = replace(fast, noise=replace(plan.noise, scale=math.sqrt(2.0) * plan.noise.scale))
     return {
         "designs chosen": plan,

@@ -61,7 +61,11 @@ def _describe_part(value: Any) -> Any:
     Fields that make no two of them differ are left out.
     """
     if is_dataclass(value):
-        own = {f.name: _describe_part(getattr(value, f.name)) for f in fields(value) if f.compare}
+        own = {
+            f.name: _describe_part(getattr(value, f.name))
+            for f in fields(value)
+            if f.compare
+        }
         return {"kind": type(value).__name__} | own
     if isinstance(value, tuple):
         return [_describe_part(part) for part in value]
@@ -179,7 +183,9 @@ class History:
                 "search": (dict() | None) as search,
             }:
                 design = tensor([weber, rest])
-                self.asked[step] = Ask(Proposal(step, design, gain, sd, reason=reason), search)
+                self.asked[step] = Ask(
+                    Proposal(step, design, gain, sd, reason=reason), search
+                )
             case {"event": "failed", "step": int(step), "label": str(), "reason": str()}:
                 if ask := self.asked.get(step):
                     ask.failures += 1

@@ -114,7 +114,9 @@ class Journal:
         if tail:
             with suppress(InputDataError):  # an append that was cut off
                 self._accept_line(tail)
-                self._kept = len(self._known) + 1  # nothing but the end of the line is missing
+                self._kept = (
+                    len(self._known) + 1
+                )  # nothing but the end of the line is missing
 
     def _accept_line(self, line: bytes) -> None:
         """Add the event of a line, once it is known to be what was written there."""
@@ -122,7 +124,9 @@ class Journal:
         try:
             entry = json.loads(line)
         except (ValueError, RecursionError) as error:
-            raise InputDataError(f"{place}: not a journal entry ({error}). {REMEDY}") from None
+            raise InputDataError(
+                f"{place}: not a journal entry ({error}). {REMEDY}"
+            ) from None
         if not isinstance(entry, dict) or not isinstance(entry.get("event"), str):
             text = line.decode(errors="replace")[:40]
             raise InputDataError(
@@ -168,7 +172,9 @@ class Journal:
         try:
             if outermost:
                 with suppress(OSError):  # the name of the owner only serves the message
-                    self._owner.write_text(f"process {os.getpid()} on {socket.gethostname()}")
+                    self._owner.write_text(
+                        f"process {os.getpid()} on {socket.gethostname()}"
+                    )
                 if self._read_bytes() != self._known:
                     raise InputDataError(
                         f"{self.path} was written to since it was opened here; open the campaign "
@@ -260,7 +266,9 @@ class Journal:
         times = experiment.times.detach().cpu().numpy()
         radius = experiment.radius.detach().cpu().numpy()
         with self.hold_lock():
-            write_atomically(path, lambda stream: np.savez(stream, times=times, radius=radius))
+            write_atomically(
+                path, lambda stream: np.savez(stream, times=times, radius=radius)
+            )
         return {
             "label": experiment.label,
             "design": list(experiment.design),

@@ -172,7 +172,8 @@ class ExactLearner:
         evidence = evidences(result)
         record = {
             "certificates": {
-                fit.model: without_nonfinite(asdict(fit.certificate))[0] for fit in result.fits
+                fit.model: without_nonfinite(asdict(fit.certificate))[0]
+                for fit in result.fits
             },
             "gaussian_answer": {fit.model: fit.trust for fit in result.fits},
         }

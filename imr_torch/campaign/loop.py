@@ -339,7 +339,9 @@ class Campaign:
         """Learn from what was told and not learnt."""
         if waiting := self.outstanding:
             if progress:
-                progress(f"learning from experiment {', '.join(map(str, waiting))}, told before")
+                progress(
+                    f"learning from experiment {', '.join(map(str, waiting))}, told before"
+                )
             self.learn_outstanding(progress=progress)
 
     @one_torch_thread()
@@ -411,7 +413,9 @@ class Campaign:
                 )
                 if reason := self.reason_to_stop(proposals[0]):
                     return self._end_campaign(reason, progress)
-                worth = takewhile(lambda proposal: not self.reason_to_stop(proposal), proposals)
+                worth = takewhile(
+                    lambda proposal: not self.reason_to_stop(proposal), proposals
+                )
                 self.tell(
                     *[shoot(proposal.design, proposal.step) for proposal in worth],
                     progress=progress,

@@ -205,7 +205,9 @@ class GainBelow:
         """See :class:`StoppingRule`."""
         if state.gain is None or state.gain >= self.nats:
             return None
-        return f"the expected information gain of the next design is below {self.nats:g} nats"
+        return (
+            f"the expected information gain of the next design is below {self.nats:g} nats"
+        )
 
 
 @dataclass(frozen=True)

@@ -97,11 +97,16 @@ def predictive_band(
         sd = batch.noise.of_frames.sd(prediction, times)
     else:  # each draw with a noise law of its own
         sd = torch.stack(
-            [law.of_frames.sd(curves, times) for law, curves in zip(laws, prediction, strict=True)]
+            [
+                law.of_frames.sd(curves, times)
+                for law, curves in zip(laws, prediction, strict=True)
+            ]
         )
     levels = torch.tensor(LEVELS, dtype=prediction.dtype)
     rows = [
-        torch.nanquantile((own + of_own * noise[:, None, None]).flatten(0, 1), levels, dim=0)
+        torch.nanquantile(
+            (own + of_own * noise[:, None, None]).flatten(0, 1), levels, dim=0
+        )
         for own, of_own in zip(prediction.unbind(1), sd.unbind(1), strict=True)
     ]
     return torch.stack(rows, 1)

@@ -47,9 +47,7 @@ SHOTS = "shots"
 DONE = "done"
 NOT_CONVERGED = "not converged"
 FAILED = "failed"
-_TOGETHER = (
-    " None of the {} curves of the file was fitted; with --each every one is a shot of its own."
-)
+_TOGETHER = " None of the {} curves of the file was fitted; with --each every one is a shot of its own."
 _NOT_OF_FIT = ("layout", "sort", "each", "code")  # options that characterize does not take
 _COLUMNS = (
     "shot",
@@ -63,7 +61,11 @@ _COLUMNS = (
     "model",
     "probability",
     "probability_error",
-    *(column for name in PARAMETERS.names for column in (f"{name}_low", name, f"{name}_high")),
+    *(
+        column
+        for name in PARAMETERS.names
+        for column in (f"{name}_low", name, f"{name}_high")
+    ),
     "rmse",
     "verdict",
     "cpu_seconds",
@@ -112,7 +114,10 @@ class BatchOptions:
 
     def make_key(self) -> str:
         """Hash of everything that has a say in a result."""
-        parts = vars(self) | {"prior": self.prior.to_dict(), "version": version("imr-torch")}
+        parts = vars(self) | {
+            "prior": self.prior.to_dict(),
+            "version": version("imr-torch"),
+        }
         return _hash_parts(json.dumps(parts, sort_keys=True, default=repr))
 
 
@@ -233,11 +238,15 @@ def run_batch(
         if document.get("error"):
             target.unlink(missing_ok=True)  # of an earlier state of the file
         else:
-            write_json(target, {**document, "shot": shot.name, "file": shot.file, "key": shot.key})
+            write_json(
+                target, {**document, "shot": shot.name, "file": shot.file, "key": shot.key}
+            )
         rows[shot.name] = _make_row(shot, document)
 
     for shot in _list_shots(files, options):
-        rows[shot.name] = {}  # until there is one, so that rows are in the order of the files
+        rows[
+            shot.name
+        ] = {}  # until there is one, so that rows are in the order of the files
         earlier = old.get(shot.key)
         if shot.traces is None:
             keep_result(shot, {"error": shot.error})
@@ -276,13 +285,19 @@ def characterize_shot(traces: TraceSet | None, options: BatchOptions) -> Documen
     """The result of one shot as a document, or ``{"error": ...}``: what a worker does."""
     try:
         assert traces is not None
-        of_fit = {name: value for name, value in vars(options).items() if name not in _NOT_OF_FIT}
+        of_fit = {
+            name: value for name, value in vars(options).items() if name not in _NOT_OF_FIT
+        }
         result = characterize(traces, **of_fit)
         document = result.to_result_document() | {
             "converged": result.converged,
-            "frames_fitted": sum(len(experiment.times) for experiment in result.experiments),
+            "frames_fitted": sum(
+                len(experiment.times) for experiment in result.experiments
+            ),
         }
-        json.dumps(document, allow_nan=False)  # what cannot be written is an error of this shot
+        json.dumps(
+            document, allow_nan=False
+        )  # what cannot be written is an error of this shot
         return document
     except ImrError as error:
         others = "" if traces is None or len(traces) == 1 else _TOGETHER.format(len(traces))
@@ -350,7 +365,9 @@ def _run_until_broken(
 def _list_shots(files: Sequence[Path], options: BatchOptions) -> Iterator[Shot]:
     """The shots of all files, read one after the other."""
     of_options = options.make_key()
-    names = _unique_names([p.stem for p in files], [f"{p.parent.name}_{p.name}" for p in files])
+    names = _unique_names(
+        [p.stem for p in files], [f"{p.parent.name}_{p.name}" for p in files]
+    )
     for path, name in zip(files, names, strict=True):
         try:
             traces = load_traces(path, layout=options.layout, sort=options.sort)
@@ -365,7 +382,9 @@ def _list_shots(files: Sequence[Path], options: BatchOptions) -> Iterator[Shot]:
             yield Shot(name, str(path), traces, key)
             continue
         for label, each in zip(
-            traces.ids, _unique_names([f"{name}_{x}" for x in traces.ids], traces.ids), strict=True
+            traces.ids,
+            _unique_names([f"{name}_{x}" for x in traces.ids], traces.ids),
+            strict=True,
         ):
             yield Shot(each, str(path), traces.select([label]), _hash_parts(key, label))
 
@@ -417,7 +436,9 @@ def _make_row(shot: Shot, document: Document) -> Document:
         "R_inf*": sum(e["R_inf*"] for e in experiments) / len(experiments),
         "model": saved.best,
         "probability": saved.probabilities[saved.best],
-        "probability_error": document.get("model_probability_errors", {}).get(saved.best, 0.0),
+        "probability_error": document.get("model_probability_errors", {}).get(
+            saved.best, 0.0
+        ),
         "rmse": entry.get("rmse"),
         "verdict": saved.verdict(),
         "explained": {True: "yes", False: "no", None: "not tested"}[saved.explained],

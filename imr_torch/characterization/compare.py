@@ -14,7 +14,11 @@ from typing import TYPE_CHECKING
 import torch
 
 from imr_torch.assimilate.importance import weighted_quantiles
-from imr_torch.characterization.saved import SavedCharacterization, WeightedDraws, to_dataframe
+from imr_torch.characterization.saved import (
+    SavedCharacterization,
+    WeightedDraws,
+    to_dataframe,
+)
 from imr_torch.document import header
 from imr_torch.errors import InputDataError
 from imr_torch.files import Document
@@ -157,22 +161,29 @@ def compare(
     """
     pairs = {key: (key, key) for key in a.posterior.keys if key in b.posterior.keys}
     if not pairs:
-        first, second = ({_drop_medium(key): key for key in x.posterior.keys} for x in (a, b))
+        first, second = (
+            {_drop_medium(key): key for key in x.posterior.keys} for x in (a, b)
+        )
         pairs = {key: (first[key], second[key]) for key in first if key in second}
     if not pairs:
         raise InputDataError(
             f"{a.source} has the models {', '.join(a.posterior.keys)} and {b.source} "
             f"{', '.join(b.posterior.keys)}; fit a model to both with --models."
         )
-    asked = {key: both for key, both in pairs.items() if model in (None, key, _drop_medium(key))}
+    asked = {
+        key: both for key, both in pairs.items() if model in (None, key, _drop_medium(key))
+    }
     if not asked:
         raise InputDataError(f"--model is {model!r}; both results have {', '.join(pairs)}.")
     chosen = max(
-        asked, key=lambda key: a.probabilities[pairs[key][0]] * b.probabilities[pairs[key][1]]
+        asked,
+        key=lambda key: a.probabilities[pairs[key][0]] * b.probabilities[pairs[key][1]],
     )
     of_a, of_b = pairs[chosen]
     draws = a.draws(of_a), b.draws(of_b, seed=1)
-    parameters = tuple(_compare_parameter(name, *draws) for name in a.posterior[of_a].of_gel)
+    parameters = tuple(
+        _compare_parameter(name, *draws) for name in a.posterior[of_a].of_gel
+    )
     value, reason = _log_bayes_factor(a, b, asked)
     cautions = [*list_cautions(a, of_a), *list_cautions(b, of_b)]
     if a.document == b.document:
@@ -188,7 +199,9 @@ def _drop_medium(key: str) -> str:
     return "+".join(part for part in key.split("+") if part not in OF_MEDIUM.values())
 
 
-def _compare_parameter(name: str, a: WeightedDraws, b: WeightedDraws) -> ParameterComparison:
+def _compare_parameter(
+    name: str, a: WeightedDraws, b: WeightedDraws
+) -> ParameterComparison:
     """A parameter over all pairs of draws."""
     columns = (draws.values[:, draws.names.index(name)] for draws in (a, b))
     first, second = torch.cartesian_prod(*columns).mT
@@ -196,7 +209,9 @@ def _compare_parameter(name: str, a: WeightedDraws, b: WeightedDraws) -> Paramet
     difference = first - second
     greater = 0.5 * float(weights @ (difference.sign() + 1.0))
     levels = tensor(LEVELS)
-    quantiles = [weighted_quantiles(x, weights, levels) for x in (first / second, difference)]
+    quantiles = [
+        weighted_quantiles(x, weights, levels) for x in (first / second, difference)
+    ]
     return ParameterComparison(name, min(greater, 1.0), *torch.cat(quantiles).tolist())
 
 
@@ -214,7 +229,9 @@ def list_cautions(result: SavedCharacterization, model: str) -> list[str]:
 
 
 def _log_bayes_factor(
-    a: SavedCharacterization, b: SavedCharacterization, models: Mapping[str, tuple[str, str]]
+    a: SavedCharacterization,
+    b: SavedCharacterization,
+    models: Mapping[str, tuple[str, str]],
 ) -> tuple[float | None, str]:
     """Log Bayes factor of one gel against two, and what it is about or why there is none.
 
@@ -240,7 +257,9 @@ def _log_bayes_factor(
     for key, (x, y) in models.items():
         mine = a.prior[x]
         theirs = b.prior[y]
-        first, second = (dict(zip(p.names, p.marginals, strict=True)) for p in (mine, theirs))
+        first, second = (
+            dict(zip(p.names, p.marginals, strict=True)) for p in (mine, theirs)
+        )
         apart = [name for name in OF_MEDIUM.values() if first.get(name) != second.get(name)]
         if apart:
             return None, (
@@ -258,7 +277,9 @@ def _log_bayes_factor(
             weight = of_a[x] + of_b[y] - before[x]
             if weight < -30.0:  # nats; too improbable to count
                 continue
-        wrong = next((r for r, own in ((a, x), (b, y)) if r.verdict(own) != "trusted"), None)
+        wrong = next(
+            (r for r, own in ((a, x), (b, y)) if r.verdict(own) != "trusted"), None
+        )
         if wrong is not None:
             return (
                 None,

@@ -199,7 +199,9 @@ def characterize(
     fitted = prepared.experiments
     prepared = replace(
         prepared,
-        experiments=tuple(e for e in weighted.batch.experiments if isinstance(e, Experiment)),
+        experiments=tuple(
+            e for e in weighted.batch.experiments if isinstance(e, Experiment)
+        ),
     )
     tested = None
     parts = None

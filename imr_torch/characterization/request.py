@@ -70,7 +70,9 @@ def check_request(
     what is asked for needs.
     """
     if len(traces) == 0 and not shots:
-        raise InputDataError("No curve or collapse time to characterise; load at least one.")
+        raise InputDataError(
+            "No curve or collapse time to characterise; load at least one."
+        )
     if population:
         asked = "A population is inferred from curves"
         if shots:
@@ -79,7 +81,9 @@ def check_request(
                 "two out."
             )
         if len(traces) == 1:
-            raise InputDataError(f"{asked}, and there is 1; give at least two, or leave this out.")
+            raise InputDataError(
+                f"{asked}, and there is 1; give at least two, or leave this out."
+            )
     if effort not in EFFORTS:
         raise InputDataError(f"effort is {effort!r}; expected one of {', '.join(EFFORTS)}.")
     large = [part for part in prior.models if len(part.of_gel) > MOST]
@@ -121,7 +125,9 @@ def medium_of(
     said = [*(trace.given.stated for trace in traces), *(shot.stated for shot in shots)]
     beside = [statement for statement in said if statement is not None]
     found = gel_medium(
-        command, list({repr(statement): statement for statement in beside}.values()), surroundings
+        command,
+        list({repr(statement): statement for statement in beside}.values()),
+        surroundings,
     )
     return found.loosened if len(traces) or shots else found
 

@@ -166,7 +166,8 @@ class Characterization:
         outer = self.medium.surroundings
         return {
             "experiments": [
-                describe_shot(e, outer) | {"exposure_t_star": e.exposure} for e in self.experiments
+                describe_shot(e, outer) | {"exposure_t_star": e.exposure}
+                for e in self.experiments
             ],
             "cautions": [*self.prepared.cautions, *patterns],
             **medium_document(self.medium, self.sensitivities, self.posterior.best),
@@ -174,7 +175,9 @@ class Characterization:
             "collapse_times": shots,
             "collapse_patterns": patterns,
             "model_probabilities": self.posterior.probabilities,
-            "model_probability_errors": probability_errors(self.assimilation.prior, self.evidence),
+            "model_probability_errors": probability_errors(
+                self.assimilation.prior, self.evidence
+            ),
             "models": {
                 fit.model: self._document_model(fit, evidence)
                 for fit, evidence in zip(self.assimilation.fits, self.evidence, strict=True)
@@ -187,7 +190,8 @@ class Characterization:
             "frames_left_out": dict(self.spoilt),
             "frame_lines": [line for use in self.frames for line in use.lines()],
             "fit_test": tested
-            and tested.to_dict() | {"command": command, "sentence": tested.sentence(command)},
+            and tested.to_dict()
+            | {"command": command, "sentence": tested.sentence(command)},
             "parts": self.parts and self.parts.to_dict(),
             "over_time": self.over_time,
             "population": self.population and self.population.to_dict(),
@@ -205,7 +209,9 @@ class Characterization:
         certificate = fit.certificate
         found = identifiability(fit.prior, fit.posterior)
         moved = (
-            fit.sample.power_sensitivities.T.tolist() if fit.sample and fit.sample.reliable else ()
+            fit.sample.power_sensitivities.T.tolist()
+            if fit.sample and fit.sample.reliable
+            else ()
         )
         moves = dict(zip(fit.posterior.names, moved, strict=False))
         return {
@@ -221,7 +227,10 @@ class Characterization:
             "power_sensitivities": moves,
             "verdict": fit.verdict.name.lower(),
             "certificate": vars(certificate)
-            | {"agreement": min(certificate.agreement, 1e300), "sentence": str(certificate)},
+            | {
+                "agreement": min(certificate.agreement, 1e300),
+                "sentence": str(certificate),
+            },
         }
 
     def _advise_more_draws(self, fit: ModelFit) -> str:
@@ -248,7 +257,12 @@ class Characterization:
             seed: of these draws.
         """
         left_out = [
-            {"file": x.file, "experiment": x.experiment_id, "rows": str(x.rows), "reason": x.reason}
+            {
+                "file": x.file,
+                "experiment": x.experiment_id,
+                "rows": str(x.rows),
+                "reason": x.reason,
+            }
             for x in self.traces.left_out
         ]
         return self.to_dict(command) | {
@@ -307,7 +321,8 @@ class Characterization:
                         else {"asphericity": drawn_numbers(trace.asphericity)}
                     ),
                     "models": {
-                        fit.model: _document_curve(fit, batch, e, drawn[fit.model]) for fit in fits
+                        fit.model: _document_curve(fit, batch, e, drawn[fit.model])
+                        for fit in fits
                     },
                     "band": band_document(best, drawn[best][0], band, e),
                 }
@@ -318,7 +333,9 @@ class Characterization:
         """:meth:`to_document` with its header."""
         files = list({trace.source: None for trace in self.traces})
         curve = ("--experiments", self.traces.ids[0]) if len(self.traces) == 1 else ()
-        command = shlex.join(["imr-torch", "diagnose", *files, *curve, "--html", "diagnosis.html"])
+        command = shlex.join(
+            ["imr-torch", "diagnose", *files, *curve, "--html", "diagnosis.html"]
+        )
         document = self.to_document(command)
         return header("characterize", files=files, medium=self.medium) | document
 

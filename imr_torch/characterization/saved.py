@@ -152,7 +152,9 @@ class SavedCharacterization:
     def _model(self, model: str | None) -> Document:
         return self.document["models"][self.posterior[model or self.best].model]
 
-    def draws(self, model: str | None = None, *, count: int = 400, seed: int = 0) -> WeightedDraws:
+    def draws(
+        self, model: str | None = None, *, count: int = 400, seed: int = 0
+    ) -> WeightedDraws:
         """Weighted draws of a model; ``count`` of its Gaussian approximation where the file holds
         none.
 

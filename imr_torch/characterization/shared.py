@@ -127,7 +127,9 @@ def infer_shared(
     'own'
     """
     if len(results) < 2:
-        raise InputDataError(f"share {parameter!r}: one result; give those of two gels or more.")
+        raise InputDataError(
+            f"share {parameter!r}: one result; give those of two gels or more."
+        )
     keys, marginal = _choose_models(results, parameter, model)
     is_normal = isinstance(marginal, TruncatedNormal)
     controls = linspace(-WIDEST, WIDEST, nodes)

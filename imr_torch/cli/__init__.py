@@ -97,7 +97,9 @@ def main(argv: Sequence[str] | None = None, *, events: bool = False) -> int:
             _run_named(args)
         sys.stdout.flush()
     except PackageNotFoundError as error:
-        return _report_end(f"{error.name} is not installed: run pip install . in its folder.", 2)
+        return _report_end(
+            f"{error.name} is not installed: run pip install . in its folder.", 2
+        )
     except ConvergenceError as error:
         return _report_end(f"not converged: {error}", 1)
     except ImrError as error:
@@ -107,7 +109,8 @@ def main(argv: Sequence[str] | None = None, *, events: bool = False) -> int:
         return 141
     except OSError as error:  # a full disk, a folder without permission
         return _report_end(
-            f"{error.filename or 'a file'} cannot be read or written: {error.strerror or error}", 1
+            f"{error.filename or 'a file'} cannot be read or written: {error.strerror or error}",
+            1,
         )
     except KeyboardInterrupt as error:
         return _report_end(str(error) or "stopped; what was written is complete", 130)

@@ -7,7 +7,13 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from imr_torch.characterization.batch import FAILED, NOT_CONVERGED, BatchOptions, Pool, run_batch
+from imr_torch.characterization.batch import (
+    FAILED,
+    NOT_CONVERGED,
+    BatchOptions,
+    Pool,
+    run_batch,
+)
 from imr_torch.cli.common import (
     METHODS,
     prior_of,
@@ -81,7 +87,9 @@ def _check_options(args: Namespace) -> None:
             "--workers and --cluster both say who does the work; give one of them."
         )
     out = Path(args.out)
-    if any(Path(name).is_dir() and Path(name).resolve() == out.resolve() for name in args.files):
+    if any(
+        Path(name).is_dir() and Path(name).resolve() == out.resolve() for name in args.files
+    ):
         raise InputDataError(
             f"--out is {args.out!r}, the folder of the curves; name another one, or the summary "
             "would be read as one."

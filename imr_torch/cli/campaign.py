@@ -121,7 +121,10 @@ def _open_campaign(
         raise InputDataError(
             f"{folder} holds no journal to resume; leave {option} away to start one."
         )
-    stated = {"hidden": read_hidden(args), "medium": args.medium and args.gel_medium.to_dict()}
+    stated = {
+        "hidden": read_hidden(args),
+        "medium": args.medium and args.gel_medium.to_dict(),
+    }
     note = {"case": args.case} | {name: value for name, value in stated.items() if value}
     return Campaign(folder, prior, simulator, settings=settings, seed=args.seed, note=note)
 
@@ -137,7 +140,9 @@ def _run_simulated(campaign: Campaign, case: ReferenceCase, args: Namespace) -> 
 
     def shoot_gel(design: torch.Tensor, number: int) -> Experiment:
         surroundings = campaign.simulator.conditions.surroundings
-        progress(f"experiment {number}: {campaign.settings.space.describe(design, surroundings)}")
+        progress(
+            f"experiment {number}: {campaign.settings.space.describe(design, surroundings)}"
+        )
         return laboratory.shoot(design, seed=child(args.seed, "shoot", number))
 
     if args.forget is not None:
@@ -164,7 +169,9 @@ def _run_real(campaign: Campaign, args: Namespace) -> tuple[Sequence[Proposal], 
                 marks = prepared.landmarks[experiment.label]
                 check_whole(experiment, marks.max_method)
         except InputDataError as error:
-            if not campaign.journal.events or not path.is_file():  # nobody asked for this shot
+            if (
+                not campaign.journal.events or not path.is_file()
+            ):  # nobody asked for this shot
                 raise
             failed.append((path.name, error))
             continue
@@ -215,7 +222,9 @@ def _report_campaign(
         means = dict(zip(part.names, part.means.tolist(), strict=True))
         truth = {name: case.truth[name] for name in means}
         errors = {name: abs(mean / truth[name] - 1.0) for name, mean in means.items()}
-    document = campaign_document(campaign, proposals=proposals, stopped=stopped, truth=truth)
+    document = campaign_document(
+        campaign, proposals=proposals, stopped=stopped, truth=truth
+    )
     unstated = exact_medium(args, campaign.belief)
     said = {"relative_error": errors, "cpu_seconds": seconds, "medium_unstated": unstated}
     report_result(args, document | said)

@@ -51,7 +51,9 @@ def check_goal(args: Namespace) -> None:
     """Raise for options that do not suit the goal."""
     if args.goal == "gel":
         refuse_options(args, ("effects", "hide"), "has no effect without --goal cause.")
-        if any(part.strip().startswith("cause=") for part in ",".join(args.stop).split(",")):
+        if any(
+            part.strip().startswith("cause=") for part in ",".join(args.stop).split(",")
+        ):
             raise InputDataError(
                 f"--stop is {' '.join(args.stop)!r}: cause= has no effect without --goal cause."
             )

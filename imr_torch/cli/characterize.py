@@ -125,7 +125,9 @@ def _load_data(args: Namespace) -> tuple[TraceSet, tuple[CollapseShot, ...]]:
         about_curves = ("layout", "rest_radius", "collapses", "growth", "count_all_shots")
         refuse_options(args, about_curves, f"{why} alone; leave it out.")
         traces = TraceSet(())
-    double = {trace.experiment_id for trace in traces} & {shot.experiment_id for shot in shots}
+    double = {trace.experiment_id for trace in traces} & {
+        shot.experiment_id for shot in shots
+    }
     if double:
         raise InputDataError(
             f"{tables[0]}: experiment_id '{min(double)}' is also that of a curve; give the shots "
@@ -137,7 +139,9 @@ def _load_data(args: Namespace) -> tuple[TraceSet, tuple[CollapseShot, ...]]:
     wanted = args.experiments or [*traces.ids, *known]
     if args.exclude:
         gone = [*known, *(x.experiment_id for x in traces.left_out)]
-        traces.select([name for name in args.exclude if name not in gone])  # which must be there
+        traces.select(
+            [name for name in args.exclude if name not in gone]
+        )  # which must be there
         wanted = [name for name in wanted if name not in args.exclude]
         args.given["experiments"] = ",".join(wanted)  # what a diagnosis is to take
     of_curves = [name for name in wanted if name not in known]
@@ -157,7 +161,10 @@ def diagnose_command(args: Namespace, best: ModelBelief) -> str:
     """The command that looks for what a model lacks, on the same curves."""
     parts = ["imr-torch", "diagnose", *args.files, "--base", best.material.base]
     if best.known:
-        parts += ["--known", ",".join(f"{name}={value:g}" for name, value in best.known.items())]
+        parts += [
+            "--known",
+            ",".join(f"{name}={value:g}" for name, value in best.known.items()),
+        ]
     usual = {"collapses": COLLAPSES, "physics": "transport", "radial": "keller_miksis"}
     for name in (
         "layout",

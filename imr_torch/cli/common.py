@@ -98,7 +98,9 @@ def with_engine(simulator: AnySimulator, args: Namespace) -> AnySimulator:
     """A simulator with the engine, threads, radial equation and driving that the options name."""
     driving = getattr(args, "driving", None)
     conditions = replace(simulator.conditions, motion=motion_of(args), driving=driving)
-    return replace(simulator, engine=args.engine, threads=args.threads, conditions=conditions)
+    return replace(
+        simulator, engine=args.engine, threads=args.threads, conditions=conditions
+    )
 
 
 def motion_of(args: Namespace) -> RadialEquation:
@@ -208,7 +210,8 @@ _READ: dict[str, Callable[[str, str], Any]] = {
     "driving": lambda path, _: load_driving(path),
     "rest_radius": parse_rest_radius,
     **dict.fromkeys(
-        ("we_range", "rinf_range"), partial(parse_pair, form="LOW:HIGH, for example 0.15:0.25")
+        ("we_range", "rinf_range"),
+        partial(parse_pair, form="LOW:HIGH, for example 0.15:0.25"),
     ),
     **dict.fromkeys(("known", "set"), parse_values),
     **dict.fromkeys(
@@ -269,7 +272,9 @@ def show_result(args: Namespace, document: Document, *, report: str = "") -> Non
             print(f"imr-torch: {failure}", file=sys.stderr)
     if getattr(args, "html", None):
         kept = args.json or (args.out and f"{args.out}/{args.command}.json")
-        write_page(document | ({"result_file": kept} if kept else {}), args.html, report=report)
+        write_page(
+            document | ({"result_file": kept} if kept else {}), args.html, report=report
+        )
 
 
 def report_result(args: Namespace, document: Document) -> None:

@@ -15,7 +15,9 @@ def run_command(args: Namespace) -> None:
     if args.share:
         found = infer_shared(results, args.share, model=args.model)
     elif len(results) > 2:
-        raise InputDataError(f"compare: {len(results)} results; give two, or --share PARAMETER.")
+        raise InputDataError(
+            f"compare: {len(results)} results; give two, or --share PARAMETER."
+        )
     else:
         found = compare(*results, model=args.model)
     report_result(args, found.to_dict())

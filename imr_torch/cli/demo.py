@@ -28,12 +28,17 @@ def run_command(args: Namespace) -> None:
         write_bytes(folder / source.name, source.read_bytes())
     commands = _list_commands(folder, args)
     for number, command in enumerate(commands, start=1):
-        print(f"\n--- {number} of {len(commands)}: imr-torch {shlex.join(command)}\n", flush=True)
+        print(
+            f"\n--- {number} of {len(commands)}: imr-torch {shlex.join(command)}\n",
+            flush=True,
+        )
         if main([*command, *_passed_on(args)]) != 0:
             raise ConvergenceError(
                 f"the demo ended at command {number} of {len(commands)}; see the message above."
             )
-    write_result(args, {"commands": [shlex.join(["imr-torch", *command]) for command in commands]})
+    write_result(
+        args, {"commands": [shlex.join(["imr-torch", *command]) for command in commands]}
+    )
     pages = " and ".join(str(folder / name) for name in ("gel.html", "campaign.html"))
     print(
         f"\nOpen {pages} in a browser. The same commands work on files of your own; imr-torch "
@@ -54,7 +59,13 @@ def _list_commands(folder: Path, args: Namespace) -> list[list[str]]:
         shots += " --resume"
     table, result, journal, first, second = (
         str(folder / name)
-        for name in (example_gel().name, "characterize", "campaign", "gel.html", "campaign.html")
+        for name in (
+            example_gel().name,
+            "characterize",
+            "campaign",
+            "gel.html",
+            "campaign.html",
+        )
     )
     return [
         ["characterize", table, *gel.split(), "--out", result, "--html", first],

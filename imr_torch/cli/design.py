@@ -40,7 +40,9 @@ def space_of(args: Namespace) -> DesignSpace:
         return DesignSpace(args.we_range, args.rinf_range)
     except InputDataError as error:
         said = str(error).replace("DesignSpace.weber", "--we-range")
-        raise InputDataError(said.replace("DesignSpace.rest_radius", "--rinf-range")) from None
+        raise InputDataError(
+            said.replace("DesignSpace.rest_radius", "--rinf-range")
+        ) from None
 
 
 def plan_of(args: Namespace) -> Plan:
@@ -65,7 +67,9 @@ def run_command(args: Namespace) -> None:
     surroundings = simulator.conditions.surroundings
     document: Document = {}
     if rule:
-        chosen = choose_sequence(prior, bubbles, args.shots, plan=plan, space=space, seed=args.seed)
+        chosen = choose_sequence(
+            prior, bubbles, args.shots, plan=plan, space=space, seed=args.seed
+        )
         ways = {"one design repeated": (chosen[:1].expand_as(chosen), plan)}
         ways |= {what: (chosen, other) for what, other in camera_variants(plan).items()}
         rows = [
@@ -98,5 +102,8 @@ def run_command(args: Namespace) -> None:
         for step in (*search.earlier, search)
     )
     document |= {"joint_eig": search.joint, "further": further} if further else {}
-    document |= {"cautions": belief_cautions(args), "medium_unstated": exact_medium(args, prior)}
+    document |= {
+        "cautions": belief_cautions(args),
+        "medium_unstated": exact_medium(args, prior),
+    }
     report_result(args, first | document)

@@ -44,10 +44,16 @@ def run_command(args: Namespace) -> None:
     labels = [experiment.label for experiment in experiments]
     chosen = [trace for trace in traces if trace.experiment_id in labels]
     record = describe_record(
-        chosen, medium.surroundings, options=ALL_ALIKE if args.count_all_shots else RecordOptions()
+        chosen,
+        medium.surroundings,
+        options=ALL_ALIKE if args.count_all_shots else RecordOptions(),
     )
     experiments = list(record.weighted(experiments))
-    held_out = [] if args.heldout is None else _select_named(experiments, args.heldout, "--heldout")
+    held_out = (
+        []
+        if args.heldout is None
+        else _select_named(experiments, args.heldout, "--heldout")
+    )
     fitted = [e for e in experiments if e not in held_out]
     if not fitted:
         raise InputDataError(
@@ -68,7 +74,9 @@ def run_command(args: Namespace) -> None:
     )
     parts = examine(report, simulator, unseen=held_out, seed=args.seed, progress=progress)
     fit, batch = report.quoted
-    assumed = medium_sensitivities(fit, batch, simulator, medium) if report.converged else ()
+    assumed = (
+        medium_sensitivities(fit, batch, simulator, medium) if report.converged else ()
+    )
     document = to_json(report, parts, simulator=simulator) | {"record": record.to_dict()}
     document |= medium_document(medium, assumed, fit.posterior)
     print(describe(document))
@@ -77,7 +85,9 @@ def run_command(args: Namespace) -> None:
     document = write_result(args, document | {"seconds": time.perf_counter() - started})
     show_result(args, document)
     if not report.converged:
-        raise ConvergenceError("a fit that the verdict rests on has not converged (see above).")
+        raise ConvergenceError(
+            "a fit that the verdict rests on has not converged (see above)."
+        )
 
 
 def _choose_effects(args: Namespace) -> tuple[Effect, ...]:
@@ -90,14 +100,20 @@ def _choose_effects(args: Namespace) -> tuple[Effect, ...]:
     except InputDataError as error:
         raise InputDataError(f"--base: u{str(error)[1:]}") from error
     chosen = library(args.effects, without=args.without or [], base=args.base)
-    lost = [name for name in args.effects or [] if name not in {effect.name for effect in chosen}]
+    lost = [
+        name
+        for name in args.effects or []
+        if name not in {effect.name for effect in chosen}
+    ]
     if lost:
         raise InputDataError(
             f"--effects: {lost[0]!r} cannot be put on the base model {args.base!r}, which has it "
             "or lacks what it acts on."
         )
     if not chosen:
-        raise InputDataError("--without leaves no effect that could be the cause; leave fewer out.")
+        raise InputDataError(
+            "--without leaves no effect that could be the cause; leave fewer out."
+        )
     return chosen
 
 
@@ -129,7 +145,10 @@ def _load_experiments(
         print(traces.report() + "\n")
         medium = medium_of(traces, args.medium, assumed)
         prepared = prepare(
-            traces, medium.surroundings, collapses=args.collapses, rest_radius=args.rest_radius
+            traces,
+            medium.surroundings,
+            collapses=args.collapses,
+            rest_radius=args.rest_radius,
         )
         print(prepared.report() + "\n")
         return list(prepared.experiments), medium, traces

@@ -61,7 +61,9 @@ _TYPES = {"int": int, "float": float}
 class InRange(argparse.Action):
     """Takes a number and refuses one outside of a range."""
 
-    def __init__(self, *args: Any, low: float, high: float = math.inf, **options: Any) -> None:
+    def __init__(
+        self, *args: Any, low: float, high: float = math.inf, **options: Any
+    ) -> None:
         super().__init__(*args, **options)
         self.low = low
         self.high = high
@@ -76,7 +78,9 @@ class InRange(argparse.Action):
         """
         if not self.low <= value <= self.high:
             limits = (
-                f"{self.low} to {self.high}" if self.high < math.inf else f"at least {self.low}"
+                f"{self.low} to {self.high}"
+                if self.high < math.inf
+                else f"at least {self.low}"
             )
             raise InputDataError(f"{option} is {value}; expected {limits}.")
         setattr(namespace, self.dest, value)
@@ -113,7 +117,9 @@ def load_extensions(files: Sequence[str]) -> tuple[str, ...]:
             run; the message says where.
     """
     installed = entry_points(group="imr_torch")
-    modules = [_import_module(entry.module, f"extension {entry.name!r}") for entry in installed]
+    modules = [
+        _import_module(entry.module, f"extension {entry.name!r}") for entry in installed
+    ]
     for path in map(Path, files):
         if path.suffix != ".py" or not path.is_file():
             raise InputDataError(
@@ -135,7 +141,9 @@ def _import_module(name: str, place: str) -> ModuleType:
         return import_module(name)
     except Exception as error:  # of the code of others
         frames = traceback.extract_tb(error.__traceback__)
-        lines = [x.lineno for x in frames if Path(x.filename).stem == name.rpartition(".")[2]]
+        lines = [
+            x.lineno for x in frames if Path(x.filename).stem == name.rpartition(".")[2]
+        ]
         line = f", line {lines[-1]}" if lines else ""
         raise InputDataError(
             f"{place}{line}: cannot be imported: {type(error).__name__}: {error}. Correct it."

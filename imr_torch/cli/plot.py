@@ -56,7 +56,9 @@ def formats_of(text: str) -> list[str]:
 def _save_figure(figure: Figure, folder: Path, name: str, formats: Sequence[str]) -> None:
     """Save a figure in each format, atomically; its layout is that of the first one."""
     for kind in formats:
-        with plt.rc_context({"pdf.fonttype": 42, "svg.fonttype": "none"}):  # text stays text
+        with plt.rc_context(
+            {"pdf.fonttype": 42, "svg.fonttype": "none"}
+        ):  # text stays text
             write_atomically(
                 folder / f"{name}.{kind}",
                 lambda stream, kind=kind: figure.savefig(stream, format=kind, dpi=150),
@@ -89,11 +91,17 @@ def save_figures(
             progress(ProgressLine(text, step="figures", done=number, of=2 * len(figures)))
         try:
             _save_figure(item.draw(), folder, item.name, formats)
-        except OSError:  # a full disk, a folder without permission: no figure can be written
+        except (
+            OSError
+        ):  # a full disk, a folder without permission: no figure can be written
             raise
         except Exception as error:  # whatever fails in drawing, the numbers are kept
-            failed.append(f"the figure {item.name} could not be drawn ({in_one_line(error)})")
+            failed.append(
+                f"the figure {item.name} could not be drawn ({in_one_line(error)})"
+            )
         finally:
             plt.close("all")
-    print(f"wrote {len(figures) - len(failed)} figure(s) as {', '.join(formats)} to {folder}")
+    print(
+        f"wrote {len(figures) - len(failed)} figure(s) as {', '.join(formats)} to {folder}"
+    )
     return failed

@@ -36,7 +36,11 @@ class Stage:
 
 
 def characterize_stages(
-    noise_rounds: int, *, curves: bool = True, population: bool = False, figures: bool = True
+    noise_rounds: int,
+    *,
+    curves: bool = True,
+    population: bool = False,
+    figures: bool = True,
 ) -> tuple[Stage, ...]:
     """The stages of ``characterize``: one fit per noise law, draws, the fit test, perhaps each shot
     alone, and figures.
@@ -73,7 +77,9 @@ def diagnose_stages(*, estimate_noise: bool) -> tuple[Stage, ...]:
     return (
         Stage("fit of the base model and test for a gap", 1.0),
         Stage("causes", 7.5 if estimate_noise else 4.0, "effects"),
-        Stage("location, reduction, next design", 4.0 if estimate_noise else 2.0, "location"),
+        Stage(
+            "location, reduction, next design", 4.0 if estimate_noise else 2.0, "location"
+        ),
         Stage("figures", 0.3, "figures"),
     )
 
@@ -224,7 +230,10 @@ class Terminal:
         """Rewrite the line, or print an event."""
         if self.events:
             part = self._part_done()
-            state = {"line": self.describe_state(), "part": part if part >= self.early else None}
+            state = {
+                "line": self.describe_state(),
+                "part": part if part >= self.early else None,
+            }
             print(json.dumps(state), file=self.stream, flush=True)
         else:
             self._draw_line(self.describe_state())

@@ -69,7 +69,9 @@ def expected_information_gain(
             f"designs has shape {tuple(designs.shape)}; expected q x 2 with (We, R_inf*)."
         )
     with torch.no_grad():
-        return (estimator or Laplace())(Shot(belief, designs, simulator, plan), generator(seed))
+        return (estimator or Laplace())(
+            Shot(belief, designs, simulator, plan), generator(seed)
+        )
 
 
 class ExpectedInformationGain(AcquisitionFunction):

@@ -52,7 +52,9 @@ class InformationGain:
     variance: float
     counted: int
     drawn: int
-    influence: Float[Tensor, "draws 2"] | None = field(default=None, repr=False, compare=False)
+    influence: Float[Tensor, "draws 2"] | None = field(
+        default=None, repr=False, compare=False
+    )
 
     @property
     def failed(self) -> bool:
@@ -71,10 +73,16 @@ class InformationGain:
         kept = tensor([target == "parameters", target == "model"])
         parameters, model = (kept * tensor([self.parameters, self.model])).tolist()
         about = replace(self, parameters=parameters, model=model)
-        return about if self.influence is None else with_influence(about, kept * self.influence)
+        return (
+            about
+            if self.influence is None
+            else with_influence(about, kept * self.influence)
+        )
 
 
-def mean_deviations(values: Float[Tensor, "draws *columns"]) -> Float[Tensor, "draws *columns"]:
+def mean_deviations(
+    values: Float[Tensor, "draws *columns"],
+) -> Float[Tensor, "draws *columns"]:
     """Deviations from the mean, scaled so that their squares sum to the variance of the mean.
 
     >>> import torch
@@ -102,7 +110,9 @@ def combine_models(
         orders: of each model, the numbers of all draws, those that gave a datum first and in the
             order of the data.
     """
-    means = tensor([[float(own.mean()) if len(own) else 0.0 for own in pair] for pair in gains])
+    means = tensor(
+        [[float(own.mean()) if len(own) else 0.0 for own in pair] for pair in gains]
+    )
     parameters, model = (weights @ means).tolist()
     influence = []
     for weight, pair, order in zip(weights, gains, orders, strict=True):
@@ -115,7 +125,9 @@ def combine_models(
     return with_influence(gain, torch.cat(influence))
 
 
-def with_influence(gain: InformationGain, influence: Float[Tensor, "draws 2"]) -> InformationGain:
+def with_influence(
+    gain: InformationGain, influence: Float[Tensor, "draws 2"]
+) -> InformationGain:
     """The gain with the influence of each draw (``n x 2``) and the variance that follows from it."""
     known = bool(torch.isfinite(influence).all())
     variance = float(influence.sum(1).square().sum())

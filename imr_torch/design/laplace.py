@@ -82,7 +82,9 @@ class Laplace(InformationEstimator):
                 self.inform_gels(part, gels.parts[i], own[i]),
                 about_model[i, rows][: self._rival_count],
             )
-            for i, (part, rows) in enumerate(zip(shot.belief.models, gels.rows, strict=True))
+            for i, (part, rows) in enumerate(
+                zip(shot.belief.models, gels.rows, strict=True)
+            )
         ]
         return combine_models(log_prior.exp(), gains, gels.orders)
 
@@ -161,7 +163,9 @@ def local_precision(part: ModelBelief, controls: DrawnControls) -> BatchControlM
     if part.cloud is None:
         return eye(controls.shape[1]).expand(len(controls), -1, -1)
     closest = torch.cdist(
-        part.unwhitened(controls), part.cloud.controls, compute_mode="donot_use_mm_for_euclid_dist"
+        part.unwhitened(controls),
+        part.cloud.controls,
+        compute_mode="donot_use_mm_for_euclid_dist",
     ).argmin(1)
     return part.chol.mT @ part.cloud.precisions[closest] @ part.chol
 

@@ -17,7 +17,11 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from imr_torch.assimilate.gauss_newton import NormalEquations, half_log_det, normal_equations
+from imr_torch.assimilate.gauss_newton import (
+    NormalEquations,
+    half_log_det,
+    normal_equations,
+)
 from imr_torch.design.response import Plan, Response, Rows, Shot, simulate_response
 from imr_torch.float64 import eye, randn
 from imr_torch.observe.noise import previous
@@ -42,7 +46,9 @@ def observe_gels(seen: Response, plan: Plan, source: torch.Generator) -> Data:
     times = plan.times.expand(seen.radius.shape[1:])
     noise = randn(seen.radius.shape, generator=source)
     noise = plan.noise.correlated(noise, times, torch.isfinite(times))
-    nuisance = randn(*seen.by_nuisance.shape[:2], seen.by_nuisance.shape[-1], 1, generator=source)
+    nuisance = randn(
+        *seen.by_nuisance.shape[:2], seen.by_nuisance.shape[-1], 1, generator=source
+    )
     noise = noise * plan.noise.sd(seen.radius, plan.times) / plan.repeats**0.5
     return Data(
         seen.radius + (seen.by_nuisance @ nuisance)[..., 0] + noise,
@@ -76,7 +82,9 @@ class Gels:
     def observe(self, shot: Shot, source: torch.Generator) -> Data:
         """A datum of each gel, model after model."""
         data = [observe_gels(part, shot.plan, source) for part in self.parts]
-        return Data(torch.cat([d.radius for d in data]), torch.cat([d.window for d in data]))
+        return Data(
+            torch.cat([d.radius for d in data]), torch.cat([d.window for d in data])
+        )
 
 
 def draw_cloud_controls(

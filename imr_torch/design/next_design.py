@@ -62,7 +62,11 @@ class NextDesign:
 
     @classmethod
     def judge(
-        cls, design: Design, own: Sequence[DrawnValues], causes: dict[str, float], plan: Plan
+        cls,
+        design: Design,
+        own: Sequence[DrawnValues],
+        causes: dict[str, float],
+        plan: Plan,
     ) -> Self:
         """What a shot is expected to tell, from data that were made of each cause.
 
@@ -73,7 +77,9 @@ class NextDesign:
             plan: how the shot is taken to be observed.
         """
         now = tensor(list(causes.values()))
-        gain, error = _average_strata([log - p.log() for log, p in zip(own, now, strict=True)], now)
+        gain, error = _average_strata(
+            [log - p.log() for log, p in zip(own, now, strict=True)], now
+        )
         after, after_error = _average_strata([log.exp() for log in own], now)
         return cls(design, gain, error, causes, plan, after, after_error)
 

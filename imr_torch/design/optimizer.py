@@ -83,7 +83,9 @@ class DesignOptimizer:
         self.train_Y = zeros(0, 1)
         self.train_Yvar = zeros(0, 1)
 
-    def ask(self, q: int = 1, *, pending: Real[Tensor, "pending 2"] | None = None) -> Designs:
+    def ask(
+        self, q: int = 1, *, pending: Real[Tensor, "pending 2"] | None = None
+    ) -> Designs:
         """The next ``q x 2`` designs to evaluate: space-filling ones first, then maxima of the
         acquisition.
 
@@ -96,7 +98,9 @@ class DesignOptimizer:
         self.space.check_inside(waiting)
         done = len(self.train_X) + len(waiting)
         if done < self.initial or len(self.train_X) < 2:
-            return self.space.spread_designs(done + q, seed=child(self.seed, "sobol"))[done:]
+            return self.space.spread_designs(done + q, seed=child(self.seed, "sobol"))[
+                done:
+            ]
         with manual_seed(child(self.seed, "ask", done)), warnings.catch_warnings():
             warnings.simplefilter("ignore", NumericsWarning)
             # BoTorch tries again
@@ -176,14 +180,18 @@ class DesignOptimizer:
             design = self._maximise_acquisition(PosteriorMean(model), 1)
         with torch.no_grad():
             posterior = model.posterior(design)
-        return Recommendation(design[0], float(posterior.mean), float(posterior.variance.sqrt()))
+        return Recommendation(
+            design[0], float(posterior.mean), float(posterior.variance.sqrt())
+        )
 
     def _maximise_acquisition(
         self, acquisition: AcquisitionFunction, q: int, known: Designs | None = None
     ) -> Tensor:
         """The ``q x 2`` designs of largest acquisition; of a list, without those that are known."""
         if self.space.listed is not None:
-            return optimize_acqf_discrete(acquisition, q, self.space.listed, X_avoid=known)[0]
+            return optimize_acqf_discrete(acquisition, q, self.space.listed, X_avoid=known)[
+                0
+            ]
         best, _ = optimize_acqf(
             acquisition,
             self.space.bounds,

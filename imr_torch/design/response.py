@@ -56,7 +56,9 @@ class Plan:
         """An experiment without the frames after the last collapse of the window."""
         if self.collapses is None:
             return experiment
-        return experiment.until(collapse_time(experiment.times, experiment.mean, self.collapses))
+        return experiment.until(
+            collapse_time(experiment.times, experiment.mean, self.collapses)
+        )
 
     def frames_in_window(
         self, radius: Float[Tensor, "*batch frames"]
@@ -112,7 +114,9 @@ class Shot:
         """What the camera will see of the designs, but for the gel."""
         q = len(self.designs)
         return Film(
-            self.designs, self.plan.times.expand(q, -1), self.plan.nuisance.sds().expand(q, -1)
+            self.designs,
+            self.plan.times.expand(q, -1),
+            self.plan.nuisance.sds().expand(q, -1),
         )
 
 
@@ -194,9 +198,13 @@ def simulate_response(
         gel: whether the sensitivity to the gel is wanted.
     """
     forward = ForwardModel(part, shot.film, shot.simulator)
-    seen = forward.bundle(Point(controls, forward.mean_nuisances(len(controls))), moves_gel=gel)
+    seen = forward.bundle(
+        Point(controls, forward.mean_nuisances(len(controls))), moves_gel=gel
+    )
     by_gel, by_nuisance = forward.slopes(seen)
-    good = torch.isfinite(seen).flatten(1).all(1)[:, None, None]  # of the gel and of all beside it
+    good = (
+        torch.isfinite(seen).flatten(1).all(1)[:, None, None]
+    )  # of the gel and of all beside it
     slopes = by_gel if gel else by_gel[..., :0]
     return Response(
         controls,

@@ -51,7 +51,9 @@ def inform_draws(shot: Shot, draws: int, *, seed: int) -> list[DrawnInformation]
     controls = draw_cloud_controls(shot, draws, generator(seed))
     chances = shot.belief.probabilities.values()
     return [
-        DrawnInformation(chance, local_precision(part, drawn), _inform_model(shot, part, drawn))
+        DrawnInformation(
+            chance, local_precision(part, drawn), _inform_model(shot, part, drawn)
+        )
         for part, chance, drawn in zip(shot.belief.models, chances, controls, strict=True)
     ]
 
@@ -127,5 +129,7 @@ def choose_sequence(
         ]
         best = int((shares @ torch.stack(gains) / cost).argmax())
         chosen.append(best)
-        known = [x + part.of_shots[:, best, None] for part, x in zip(parts, known, strict=True)]
+        known = [
+            x + part.of_shots[:, best, None] for part, x in zip(parts, known, strict=True)
+        ]
     return nodes[chosen]

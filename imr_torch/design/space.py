@@ -76,7 +76,9 @@ class DesignSpace:
             InputDataError: naming the first design outside.
         """
         if X.shape[-1:] != (2,):
-            raise ShapeError(f"X has shape {tuple(X.shape)}; expected ... x 2 with {DESIGN_NAMES}.")
+            raise ShapeError(
+                f"X has shape {tuple(X.shape)}; expected ... x 2 with {DESIGN_NAMES}."
+            )
         slack = 1e-9 * (self.bounds[1] - self.bounds[0])
         inside = ((self.bounds[0] - slack <= X) & (self.bounds[1] + slack >= X)).all(-1)
         if not inside.all():

@@ -70,17 +70,24 @@ def to_arviz(assimilation: Assimilation, *, seed: int, draws: int = 1000) -> "Da
     if draws < 1:
         raise InputDataError(f"to_arviz: draws is {draws}; at least 1 is needed.")
     batch = assimilation.batch
-    radius, time = (torch.where(batch.mask, x, torch.nan) for x in (batch.mean, batch.times))
+    radius, time = (
+        torch.where(batch.mask, x, torch.nan) for x in (batch.mean, batch.times)
+    )
     weber, rest_radius = batch.designs.T
     data = {
         "observed_data": {"radius": radius},
         "constant_data": {"time": time, "weber": weber, "rest_radius": rest_radius},
     }
-    labels = {"experiment": [e.label for e in batch.experiments], "nuisance": list(NUISANCES)}
+    labels = {
+        "experiment": [e.label for e in batch.experiments],
+        "nuisance": list(NUISANCES),
+    }
     branches = {}
     for fit in assimilation.fits:
         groups = _draw_groups(fit, draws, child(seed, "arviz", fit.model)) | data
-        values = {name: {k: x.numpy() for k, x in group.items()} for name, group in groups.items()}
+        values = {
+            name: {k: x.numpy() for k, x in group.items()} for name, group in groups.items()
+        }
         branch = from_dict(values, coords=labels, dims=DIMENSIONS)
         for entry in map(PARAMETERS.__getitem__, fit.prior.names):
             branch["posterior"][entry.export_name].attrs["units"] = entry.unit

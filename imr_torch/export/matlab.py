@@ -83,11 +83,15 @@ def _convert_curve(curve: Document) -> Document:
         "residual": (1.0, model["residual"]),
         "residual_over_sd": (1.0, model["residual_over_sd"]),
     }
-    arrays = {name: scale * np.array(x, dtype=float) for name, (scale, x) in columns.items()}
+    arrays = {
+        name: scale * np.array(x, dtype=float) for name, (scale, x) in columns.items()
+    }
     return {"id": curve["id"], "We": curve["We"], "rinf_star": curve["R_inf*"]} | arrays
 
 
 def _struct_array(rows: Sequence[Document]) -> np.ndarray:
     """Rows as a struct array, which a list of dictionaries is not."""
     names = list(rows[0]) if rows else ["id"]
-    return np.array([tuple(row.values()) for row in rows], dtype=[(name, object) for name in names])
+    return np.array(
+        [tuple(row.values()) for row in rows], dtype=[(name, object) for name in names]
+    )

@@ -66,7 +66,9 @@ class ModelPrior(Distribution):
         """The bounds of each parameter."""
         bounds = [(m.lower, m.upper) for m in self.belief.marginals]
         each = [_bound_parameter(lower, upper) for lower, upper in bounds]
-        return constraints.independent(constraints.cat(each, dim=-1, lengths=[1] * len(each)), 1)
+        return constraints.independent(
+            constraints.cat(each, dim=-1, lengths=[1] * len(each)), 1
+        )
 
     @property
     def mean(self) -> Controls:
@@ -95,7 +97,9 @@ def _bound_parameter(lower: float, upper: float) -> constraints.Constraint:
     if upper == torch.inf:
         return constraints.greater_than_eq(lower)
     return (
-        constraints.less_than(upper) if lower == -torch.inf else constraints.interval(lower, upper)
+        constraints.less_than(upper)
+        if lower == -torch.inf
+        else constraints.interval(lower, upper)
     )
 
 
@@ -151,7 +155,9 @@ class SbiSimulator:
         clean = predict(self.simulator, parameters, batch, moved)
         noise = randn(shape, generator=source)
         sd = batch.noise.sd(clean, batch.times) * batch.noise_factors
-        seen = (clean + sd * batch.noise.correlated(noise, batch.times, batch.mask)).flatten(1)
+        seen = (
+            clean + sd * batch.noise.correlated(noise, batch.times, batch.mask)
+        ).flatten(1)
         seen = torch.where(seen.isnan().any(1, keepdim=True), torch.nan, seen)
         return seen.to(self.dtype).reshape(*theta.shape[:-1], -1)
 
@@ -205,7 +211,11 @@ def sbi_simulator(
     blank = ones(1, len(times))
     shots = tuple(
         Experiment(
-            f"design {i + 1}", (weber, rest), times.to(torch.float64), blank, nuisance or Nuisance()
+            f"design {i + 1}",
+            (weber, rest),
+            times.to(torch.float64),
+            blank,
+            nuisance or Nuisance(),
         )
         for i, (weber, rest) in enumerate(designs.tolist())
     )

@@ -12,7 +12,14 @@ from dataclasses import dataclass, replace
 
 import torch
 
-from imr_torch.campaign import Finding, Inference, Observations, Proposal, Situation, SpaceFilling
+from imr_torch.campaign import (
+    Finding,
+    Inference,
+    Observations,
+    Proposal,
+    Situation,
+    SpaceFilling,
+)
 from imr_torch.campaign.journal import curve_hash
 from imr_torch.errors import ConvergenceError, InputDataError, check_at_least
 from imr_torch.gap.attribute import Attribution
@@ -65,7 +72,11 @@ class CauseLearner:
                 and data.
         """
         report = self.diagnose(
-            observations.prior, observations.batch, simulator, observations.seed, progress=progress
+            observations.prior,
+            observations.batch,
+            simulator,
+            observations.seed,
+            progress=progress,
         )
         noise = report.batch.noise if self.estimate_noise else None
         return Inference(
@@ -104,7 +115,9 @@ class CauseLearner:
         curves = [(curve_hash(e), e.design, e.nuisance) for e in batch.curves]
         names = [effect.name for effect in offered]
         # all that a diagnosis depends on
-        key = repr((self, prior.to_dict(), names, curves, batch.noise, described(simulator), seed))
+        key = repr(
+            (self, prior.to_dict(), names, curves, batch.noise, described(simulator), seed)
+        )
         if key not in _MADE:
             made = diagnose(
                 batch.curves,
@@ -201,7 +214,9 @@ class TellCausesApart:
             f"Tells apart {', '.join(found.causes)}: the mean probability of the true one is "
             f"expected to go from {found.now:.2f} to {found.after:.2f} +- {found.after_error:.2f}."
         )
-        return Proposal(situation.number, found.design, found.gain, found.error, reason=reason)
+        return Proposal(
+            situation.number, found.design, found.gain, found.error, reason=reason
+        )
 
 
 def finding(report: GapReport) -> Finding:

@@ -77,12 +77,19 @@ def adequacy_test(
 ) -> Adequacy:
     """The gap test at a fit, of effects that it does not hold and of the generic blocks."""
     line = linearise_fit(fit, batch, simulator)
-    others = tuple(effect for effect in effects if not set(effect.names) & set(fit.prior.names))
+    others = tuple(
+        effect for effect in effects if not set(effect.names) & set(fit.prior.names)
+    )
     directions = effect_directions(others, fit, batch, simulator, line)
     beside = refitted_directions(others, fit, batch, simulator, line, directions)
     generic = generic_rows(fit, batch, simulator, line)
-    blocks = [make_block(name, rows, line) for name, rows in (*beside.items(), *generic.items())]
-    starts = {effect.name: promising_starts(effect, beside[effect.name], line) for effect in others}
+    blocks = [
+        make_block(name, rows, line) for name, rows in (*beside.items(), *generic.items())
+    ]
+    starts = {
+        effect.name: promising_starts(effect, beside[effect.name], line)
+        for effect in others
+    }
     return Adequacy(
         gap_test(blocks, line, seed=seed), starts, line, directions, others, beside, generic
     )
@@ -112,7 +119,9 @@ def refitted_directions(
         or leaves more.
     """
     changes = [
-        dict(zip(effect.names, start, strict=True)) for effect in effects for start in effect.starts
+        dict(zip(effect.names, start, strict=True))
+        for effect in effects
+        for start in effect.starts
     ]
     if not changes:
         return {}
@@ -120,7 +129,9 @@ def refitted_directions(
     left = line.project_out(rows).norm(dim=1)
     farthest = full((line.fitted.shape[1],), _FARTHEST_NUISANCE)
     farthest[: len(fit.mean)] = _FARTHEST_GEL
-    under_way = torch.nonzero(left > 0.0)[:, 0]  # a start that failed would only fail again, slowly
+    under_way = torch.nonzero(left > 0.0)[
+        :, 0
+    ]  # a start that failed would only fail again, slowly
     for _ in range(_ROUNDS):
         shift = rows[under_way] @ line.to_shift.mT
         near = (shift.abs() <= farthest).all(1)

@@ -20,7 +20,13 @@ from imr_torch.assimilate import DescentOptions, ModelFit, SearchOptions
 from imr_torch.assimilate.slow_noise import SmoothDeviations, smooth_deviations
 from imr_torch.gap.adequacy import Adequacy
 from imr_torch.gap.fits import finish, fit_differing, fit_from, fit_hypotheses, promised
-from imr_torch.gap.hypotheses import GEL_SCATTER, Hypothesis, Inquiry, in_words, laplace_evidence
+from imr_torch.gap.hypotheses import (
+    GEL_SCATTER,
+    Hypothesis,
+    Inquiry,
+    in_words,
+    laplace_evidence,
+)
 from imr_torch.gap.lookalike import Likeness, likeness
 from imr_torch.gap.verdict import CheckedEvidence, check_evidence, probabilities
 from imr_torch.goodness.score import GapTest
@@ -28,9 +34,7 @@ from imr_torch.random import child
 from imr_torch.types import ProgressLine, within
 
 _SCALES_OF_NOISE = 9  # over which probabilities are averaged where the noise was inferred
-_MOST_LEFT_OUT = (
-    3  # hypotheses whose fits do not converge, before the best of the others is taken as it is
-)
+_MOST_LEFT_OUT = 3  # hypotheses whose fits do not converge, before the best of the others is taken as it is
 _LESS = 0.7  # amplitude of a second start over that of the first, where the first is an estimate
 _BEHIND = 6.0  # nats behind the best from which on a fit is given up
 # the winner's is finished later
@@ -62,7 +66,11 @@ class Candidates:
     def alike(self) -> dict[str, ModelFit]:
         """Fits that let gels differ if ``held`` does, that of ``held`` among them."""
         differ = self.held.gels_differ
-        return {n: fit for n, fit in self.fits.items() if self.hypotheses[n].gels_differ is differ}
+        return {
+            n: fit
+            for n, fit in self.fits.items()
+            if self.hypotheses[n].gels_differ is differ
+        }
 
     @property
     def explained(self) -> dict[str, float]:
@@ -118,7 +126,9 @@ class Attribution(Candidates):
         """Fits in which all shots have one gel; none where the winner's gels differ."""
         if self.winner.gels_differ:
             return {}
-        return {n: fit for n, fit in self.fits.items() if not self.hypotheses[n].gels_differ}
+        return {
+            n: fit for n, fit in self.fits.items() if not self.hypotheses[n].gels_differ
+        }
 
     def part(self, name: str) -> str:
         """What an entry of the posterior adds to ``held``; the entry itself where it is no
@@ -138,7 +148,9 @@ class Attribution(Candidates):
     @property
     def unconverged(self) -> tuple[str, ...]:
         """Hypotheses whose fits did not converge."""
-        return tuple(name for name, fit in self.fits.items() if not fit.certificate.converged)
+        return tuple(
+            name for name, fit in self.fits.items() if not fit.certificate.converged
+        )
 
     @property
     def given_up(self) -> tuple[str, ...]:
@@ -186,13 +198,17 @@ def fit_candidates(
     fits = {held.name: null}
     if near is None:
         options = replace(_FIT, descent=DescentOptions(sifted=sifted))
-        fits |= fit_hypotheses(together, alike, null, seed=seed, starts=starts, options=options)
+        fits |= fit_hypotheses(
+            together, alike, null, seed=seed, starts=starts, options=options
+        )
     else:
         fits |= fit_from(together, alike, near, seed=seed, options=_FIT_NEAR)
     for hypothesis in differing:
         if inquiry.progress:
             text = "attribution: differences between shots"
-            inquiry.progress(ProgressLine(text, step=in_words(GEL_SCATTER), part=_OF_ONE_GEL))
+            inquiry.progress(
+                ProgressLine(text, step=in_words(GEL_SCATTER), part=_OF_ONE_GEL)
+            )
         lowest = min(fit.cost for fit in fits.values())
         own = child(seed, "differing")
         if near is None:
@@ -204,7 +220,9 @@ def fit_candidates(
             options = replace(_FIT_NEAR, rival=lowest)
             fits |= fit_from(silent, [hypothesis], near, seed=own, options=options)
     hypotheses = {h.name: h for h in (held, *longer.values())}
-    return Candidates(held, hypotheses, fits, {n: laplace_evidence(f) for n, f in fits.items()})
+    return Candidates(
+        held, hypotheses, fits, {n: laplace_evidence(f) for n, f in fits.items()}
+    )
 
 
 def attribute(
@@ -263,7 +281,9 @@ def reconsider(
     alone = inquiry.longer(found.held)[part]
     if alone.gels_differ:
         return found
-    values = dict(zip(beside.prior.names, beside.prior.physical(beside.mean).tolist(), strict=True))
+    values = dict(
+        zip(beside.prior.names, beside.prior.physical(beside.mean).tolist(), strict=True)
+    )
     amplitude, *shape = (values[name] for name in alone.effects[-1].names)
     fit = fit_hypotheses(
         inquiry,
@@ -342,7 +362,9 @@ def _average_probabilities(
     families = {h.name: kinds.get(part, part) for part, h in inquiry.longer(held).items()}
     laws = inquiry.batch.noise_laws
     log_scales = [0.0] if laws is None else laws.log_scales(_SCALES_OF_NOISE).tolist()
-    squares = {n: min(1e300, inquiry.batch.square(fit.prediction)) for n, fit in fits.items()}
+    squares = {
+        n: min(1e300, inquiry.batch.square(fit.prediction)) for n, fit in fits.items()
+    }
     each = []
     for log_scale in log_scales:
         # nats that a larger noise gives back of each squared residual

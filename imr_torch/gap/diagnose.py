@@ -167,7 +167,9 @@ def diagnose(
         text = f"gap test: {p_value(gap.p_value)}, leading block {gap.blocks[0].name}"
         progress(ProgressLine(text, stage="effects" if gap.found else "figures"))
 
-    found = Finding("none", (), "No test of the curves rejects the base model.", nothing, null)
+    found = Finding(
+        "none", (), "No test of the curves rejects the base model.", nothing, null
+    )
     if not null.certificate.usable:
         reason = f"The base model's fit did not converge: {null.certificate}."
         found = replace(found, verdict="undecided", reason=reason)

@@ -78,7 +78,9 @@ def to_json(
     base = report.base
     test = report.gap
     # the base model and what leads each step of the selection
-    leading = {"none": report.null} | {step.winner.name: step.winner_fit for step in report.steps}
+    leading = {"none": report.null} | {
+        step.winner.name: step.winner_fit for step in report.steps
+    }
     document = {
         "gap": report.found,
         "verdict": report.verdict,
@@ -89,13 +91,18 @@ def to_json(
         "expected_loss": _read(report.choice, attrgetter("loss")),
         "converged": report.converged,
         "null_usable": report.null.certificate.usable,
-        "model": {"key": base.model, "title": base.material.title, "known": dict(base.known)},
+        "model": {
+            "key": base.model,
+            "title": base.material.title,
+            "known": dict(base.known),
+        },
         "p_gap": test.p_value,
         "test_rejects": test.found,
         "bias_sigma": test.bias_sigma,
         "bias_R": test.bias_radius,
         "tests": [
-            vars(b) | {"power": None if math.isnan(b.power) else b.power} for b in test.blocks
+            vars(b) | {"power": None if math.isnan(b.power) else b.power}
+            for b in test.blocks
         ],
         **{name: _read(report.attribution, read) for name, read in _CAUSES.items()},
         "selected": list(report.selected.parts),
@@ -107,7 +114,10 @@ def to_json(
         "next_design": _read(parts.next_design, _design),
         "missing": _read(parts.unknown, _missing),
         "examined": parts.onset is not None,
-        "phase_residual": {"phases": PHASES, "rows": _phase_residual(report.null, report.batch)},
+        "phase_residual": {
+            "phases": PHASES,
+            "rows": _phase_residual(report.null, report.batch),
+        },
         "curves": _curves(report, simulator),
         **_noise(report),
         "certificates": {
@@ -118,7 +128,9 @@ def to_json(
     }
     return document | {
         "headline": _fill_template("diagnosis_headline.txt", document),
-        "next_step": " ".join(_fill_template("diagnosis_next_step.txt", document).splitlines()),
+        "next_step": " ".join(
+            _fill_template("diagnosis_next_step.txt", document).splitlines()
+        ),
     }
 
 
@@ -155,7 +167,9 @@ _CAUSES: Mapping[str, Callable[[Attribution], object]] = {
     "unconverged": attrgetter("unconverged"),
     "given_up": attrgetter("given_up"),
     "unknown": _read_unknown,
-    "evidence_checks": lambda found: {name: vars(own) for name, own in found.checked.items()},
+    "evidence_checks": lambda found: {
+        name: vars(own) for name, own in found.checked.items()
+    },
     "credible_set": lambda found: list(found.credible_set()),
     "leading_adequacy_p": attrgetter("adequacy.p_value"),
 }  # probabilities and evidence of all causes
@@ -278,7 +292,10 @@ def _curves(report: GapReport, simulator: Simulator | None) -> list[Document]:
                 "R_star": batch.mean[e][seen].tolist(),
                 "sd": noise[e][seen].tolist(),
                 "selected": None,
-                **{name: fit.prediction[e][seen].tolist() for name, (_, fit) in fits.items()},
+                **{
+                    name: fit.prediction[e][seen].tolist()
+                    for name, (_, fit) in fits.items()
+                },
                 "drawn": {
                     name: {"t_star": drawn_numbers(t[e]), "R_star": drawn_numbers(r[e])}
                     for name, (t, r) in dense.items()

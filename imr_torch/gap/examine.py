@@ -38,7 +38,23 @@ from imr_torch.threads import one_torch_thread
 from imr_torch.types import Directions, FrameMask, Progress, ProgressLine, within
 from imr_torch.unknown import Unknown, choose_shot, infer_unknown
 
-_GRID = (0.15, 0.3, 0.5, 0.75, 0.94, 1.06, 1.25, 1.5, 1.75, 1.94, 2.06, 2.25, 2.6, 3.2, math.inf)
+_GRID = (
+    0.15,
+    0.3,
+    0.5,
+    0.75,
+    0.94,
+    1.06,
+    1.25,
+    1.5,
+    1.75,
+    1.94,
+    2.06,
+    2.25,
+    2.6,
+    3.2,
+    math.inf,
+)
 _LEVEL = 0.01  # of a false onset; that there is a gap at all is not decided here
 _SEARCH = 4.0  # time with a search of designs over that without
 _NAMED = ("effect", "class")  # verdicts that name a cause
@@ -211,7 +227,11 @@ def _next(
     # fewer than two causes, or bubbles that cannot be simulated elsewhere, take nothing from what
     # was found here
     with suppress(InputDataError, ConvergenceError):
-        if report.verdict == OTHER and unknown is not None and unknown.explained >= EXPLAINS:
+        if (
+            report.verdict == OTHER
+            and unknown is not None
+            and unknown.explained >= EXPLAINS
+        ):
             fewer = fewer_steps(simulator)
             return choose_shot(unknown, report.null.prior, fewer, plan=plan, seed=own)
         if found is not None and _wants_design(report):

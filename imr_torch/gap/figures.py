@@ -52,7 +52,13 @@ def gap_figures(document: Document) -> Iterator[NamedFigure]:
         beside = "" if curve["selected"] is None else f" and that with {selected}"
         label = file_name(curve["id"])
         yield name_figure(
-            "diagnose.curve", curve_figure, curve, selected, curve=curve, label=label, beside=beside
+            "diagnose.curve",
+            curve_figure,
+            curve,
+            selected,
+            curve=curve,
+            label=label,
+            beside=beside,
         )
     tests = document["tests"]
     yield name_figure("diagnose.tests", plot_tests, tests, tests=tests, count=len(tests))
@@ -78,7 +84,9 @@ def gap_figures(document: Document) -> Iterator[NamedFigure]:
                 top=max(posterior, key=posterior.__getitem__),
             )
     if (missing := document.get("missing")) and (shots := missing["shots"]):
-        yield name_figure("diagnose.missing", plot_missing_pressure, shots, count=len(shots))
+        yield name_figure(
+            "diagnose.missing", plot_missing_pressure, shots, count=len(shots)
+        )
         yield name_figure("diagnose.missing_states", plot_missing_states, shots)
     if document["shrinkage"] and document["shrinkage"]["share"]:
         yield name_figure("diagnose.shrinkage", plot_shrinkage, document["shrinkage"])
@@ -100,7 +108,9 @@ def _bars(
     """Horizontal bars from top to bottom, each with its name and a text at its end."""
     ax = new_axes((6.0, 1.0 + 0.27 * len(names)))
     places = range(len(names) - 1, -1, -1)
-    ax.bar_label(ax.barh(places, lengths, color=colors, height=0.7), texts, padding=2, fontsize=8)
+    ax.bar_label(
+        ax.barh(places, lengths, color=colors, height=0.7), texts, padding=2, fontsize=8
+    )
     ax.set_yticks(places, [plain(name) for name in names], fontsize=8)
     return ax
 
@@ -116,14 +126,24 @@ def curve_figure(curve: Document, selected: str) -> Figure:
     figure, ax, below = curve_panels(curve["id"])
     t, r, sd = (floats(curve[name]) for name in ("t_star", "R_star", "sd"))
     ax.plot(t, r, ".", ms=4, color=DATA, label="measured")
-    shown = (("base", "base model", SECOND, "--"), ("selected", f"with {selected}", MODEL, "-"))
+    shown = (
+        ("base", "base model", SECOND, "--"),
+        ("selected", f"with {selected}", MODEL, "-"),
+    )
     for name, label, color, style in shown:
         if curve[name] is None:
             continue
         at_frames = {"t_star": curve["t_star"], "R_star": curve[name]}
         drawn = curve["drawn"].get(name, at_frames)
         times = floats(drawn["t_star"])
-        ax.plot(times, floats(drawn["R_star"]), color=color, ls=style, lw=1.3, label=plain(label))
+        ax.plot(
+            times,
+            floats(drawn["R_star"]),
+            color=color,
+            ls=style,
+            lw=1.3,
+            label=plain(label),
+        )
         below.plot(t, (r - floats(curve[name])) / sd, color=color, ls=style, lw=1.2)
     ax.set(ylim=(0.0, None))
     add_legend(ax)
@@ -144,7 +164,9 @@ def plot_phase_residual(document: Document) -> Axes:
         if not math.isnan(value):
             color = "white" if value > 0.6 * top else "black"
             ax.text(j, i, f"{value:.1f}", ha="center", va="center", fontsize=8, color=color)
-    ax.set_xticks(range(len(phases)), [phase.replace(" ", "\n") for phase in phases], fontsize=8)
+    ax.set_xticks(
+        range(len(phases)), [phase.replace(" ", "\n") for phase in phases], fontsize=8
+    )
     labels = [plain(curve["id"], 24) for curve in document["curves"]]
     ax.set_yticks(range(len(values)), labels, fontsize=8)
     ax.figure.colorbar(image, ax=ax, label="rms residual / noise")
@@ -216,12 +238,16 @@ def plot_missing_pressure(shots: Sequence[Document], *, most: int = 3) -> Axes:
     """
     ax = new_axes((6.4, 3.2))
     for shot, color in zip(shots[:most], (MODEL, SECOND, TRUTH), strict=False):
-        t, p, sd, own = (floats(shot[name]) for name in ("t_us", "kPa", "sd_kPa", "own_kPa"))
+        t, p, sd, own = (
+            floats(shot[name]) for name in ("t_us", "kPa", "sd_kPa", "own_kPa")
+        )
         ax.fill_between(t, p - 1.645 * sd, p + 1.645 * sd, color=color, alpha=0.25, lw=0)
         ax.plot(t, p, color=color, lw=1.2, label=plain(shot["id"], 24))
         ax.plot(t, own, color=color, lw=0.8, ls="--")
     ax.axhline(0.0, color=DATA, lw=0.8)
-    ax.set_title(f"the first {most} of {len(shots)} shots" if len(shots) > most else "", fontsize=9)
+    ax.set_title(
+        f"the first {most} of {len(shots)} shots" if len(shots) > most else "", fontsize=9
+    )
     ax.set_yscale("symlog", linthresh=10.0)
     ax.set(xlabel="time (us)", ylabel="missing pressure (kPa)")
     add_legend(ax)
@@ -237,7 +263,9 @@ def plot_missing_states(shots: Sequence[Document]) -> Axes:
     names = ("stretch", "rate", "kPa", "sd_kPa")
     stretch, rate, p, sd = (np.concatenate([floats(s[n]) for s in shots]) for n in names)
     sure = np.abs(p) > 1.645 * sd
-    ax.scatter(stretch[~sure], rate[~sure], s=6, color="#CCCCCC", label="not told from zero")
+    ax.scatter(
+        stretch[~sure], rate[~sure], s=6, color="#CCCCCC", label="not told from zero"
+    )
     top = float(np.abs(p[sure]).max()) if sure.any() else 1.0
     colors = {"cmap": "RdBu_r", "norm": SymLogNorm(10.0, vmin=-top, vmax=top)}
     points = ax.scatter(stretch[sure], rate[sure], c=p[sure], s=10, **colors)
@@ -288,7 +316,9 @@ def plot_intervals(document: Document) -> Axes:
         draw_intervals(ax, places + offset, scaled, color=color, capsize=3, label=label)
     ax.axvline(1.0, color=DATA, lw=0.8)
     ax.set_yticks(
-        places, [PARAMETERS[name].label.replace("\\ln\\,", "") for name in right], fontsize=8
+        places,
+        [PARAMETERS[name].label.replace("\\ln\\,", "") for name in right],
+        fontsize=8,
     )
     ax.set(xlabel="over the median of the fit", ylim=(-0.5, len(right) - 0.5))
     add_legend(ax, ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))

@@ -18,7 +18,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import Assimilation, ModelFit, Point, Posterior, SearchOptions, assimilate
+from imr_torch.assimilate import (
+    Assimilation,
+    ModelFit,
+    Point,
+    Posterior,
+    SearchOptions,
+    assimilate,
+)
 from imr_torch.assimilate.fit import NEARLY, ONE_MINIMUM, PROMISED
 from imr_torch.assimilate.map_fit import assimilate_model
 from imr_torch.assimilate.starts import draw_perturbation
@@ -80,7 +87,9 @@ def lower(one: ModelFit, other: ModelFit, options: SearchOptions) -> ModelFit:
     minimum too.
     """
     low, high = sorted((one, other), key=_reach)
-    return _certified(low, min(low.certificate.agreement, abs(high.cost - low.cost)), options)
+    return _certified(
+        low, min(low.certificate.agreement, abs(high.cost - low.cost)), options
+    )
 
 
 def _reach(fit: ModelFit) -> float:
@@ -90,7 +99,9 @@ def _reach(fit: ModelFit) -> float:
 
 def _certified(fit: ModelFit, agreement: float, options: SearchOptions) -> ModelFit:
     """A fit with a certificate that counts agreement with other starts than its own, nats."""
-    converged = fit.certificate.gradient < options.gradient and agreement < options.agreement
+    converged = (
+        fit.certificate.gradient < options.gradient and agreement < options.agreement
+    )
     return replace(
         fit, certificate=replace(fit.certificate, agreement=agreement, converged=converged)
     )
@@ -147,7 +158,9 @@ def fit_hypotheses(
     if far:
         lowest = min(options.rival, *(fit.cost for fit in found))
         again = replace(options, mask_collapses=True, rival=lowest)
-        report = within(inquiry.progress, first, 1.0, name="without frames next to collapses")
+        report = within(
+            inquiry.progress, first, 1.0, name="without frames next to collapses"
+        )
         masked = search(options=again, progress=report)
         found = [lower(*pair, options) for pair in zip(found, masked, strict=True)]
     return {h.name: fit for h, fit in zip(hypotheses, found, strict=True)}
@@ -228,16 +241,24 @@ def _descend(
     from_starts = partial(search, starts=starts, nuisances=nuisances)
     coarse = coarser(simulator)
     same = coarse is simulator
-    error = 0.0 if same else _coarse_error(belief, batch, simulator, starts[0][:1], nuisances[0])
+    error = (
+        0.0
+        if same
+        else _coarse_error(belief, batch, simulator, starts[0][:1], nuisances[0])
+    )
     if same or error > _TOO_COARSE:
-        fits = from_starts(belief, batch, simulator, options=options, progress=progress).fits
+        fits = from_starts(
+            belief, batch, simulator, options=options, progress=progress
+        ).fits
         return list(fits)
     reach = None if options.drop_behind is None else options.drop_behind + error
     rough = replace(options, drop_behind=reach, gradient=max(options.gradient, _ROUGHLY))
     early = within(progress, 0.0, 0.65)
     found = from_starts(belief, batch, coarse, options=rough, progress=early).fits
     fits = [_seen_by(fit, batch, simulator) for fit in found]
-    limit = min(*(fit.cost for fit in fits), options.rival) + (math.inf if reach is None else reach)
+    limit = min(*(fit.cost for fit in fits), options.rival) + (
+        math.inf if reach is None else reach
+    )
     near = [i for i, fit in enumerate(fits) if fit.cost - promised(fit) <= limit]
     near.sort(key=lambda i: fits[i].cost)
     own = replace(options, starts=2, mask_collapses=False)
@@ -268,7 +289,11 @@ def _descend(
 
 
 def _coarse_error(
-    belief: Belief, batch: ExperimentBatch, simulator: Simulator, gel: Tensor, nuisances: Tensor
+    belief: Belief,
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    gel: Tensor,
+    nuisances: Tensor,
 ) -> float:
     """Error of the cost by coarse bubbles where the first model fits the data, at one gel
     (``1 x d``), nats.
@@ -289,11 +314,16 @@ def _seen_by(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> Mod
     seen = posterior.predict(fit.point)
     cost = -float(posterior.log_joint(fit.point, seen))
     return replace(
-        fit, cost=cost, prediction=seen, certificate=replace(fit.certificate, converged=False)
+        fit,
+        cost=cost,
+        prediction=seen,
+        certificate=replace(fit.certificate, converged=False),
     )
 
 
-def finish(inquiry: Inquiry, fit: ModelFit, hypothesis: Hypothesis, *, seed: int) -> ModelFit:
+def finish(
+    inquiry: Inquiry, fit: ModelFit, hypothesis: Hypothesis, *, seed: int
+) -> ModelFit:
     """Continue a fit that was cut short, from where it ended and from a point beside it.
 
     The second start may end in another local minimum. The agreement in the certificate is then that
@@ -393,7 +423,9 @@ def fit_differing(
     return lower(first, second, options)
 
 
-def start_apart(hypothesis: Hypothesis, near: ModelFit, alone: Sequence[ModelFit]) -> ModelFit:
+def start_apart(
+    hypothesis: Hypothesis, near: ModelFit, alone: Sequence[ModelFit]
+) -> ModelFit:
     """A fit to all experiments, moved to where the gels of single ones are: a start, not a fit.
 
     Args:
@@ -412,4 +444,6 @@ def start_apart(hypothesis: Hypothesis, near: ModelFit, alone: Sequence[ModelFit
     mean = near.mean.clone()
     mean[[near.prior.names.index(name) for name in prior.names]] = gels.mean(0)
     nuisances = torch.cat([fit.nuisances[:, : len(NUISANCES)] for fit in alone])
-    return replace(near, mean=mean, nuisances=torch.cat((nuisances, torch.stack(deviations, 1)), 1))
+    return replace(
+        near, mean=mean, nuisances=torch.cat((nuisances, torch.stack(deviations, 1)), 1)
+    )

@@ -206,7 +206,9 @@ def judge_designs(
         line = linearise_fit(base_fit, base.seen(fold.training), simulator)
         beside = None
         if report.within_misfit is not None:
-            beside = BesideSlowNoise.about(base_fit.linearise(base.seen(fold.data), simulator))
+            beside = BesideSlowNoise.about(
+                base_fit.linearise(base.seen(fold.data), simulator)
+            )
         for place in range(len(designs.experiments)):
             design = _part(designs, [place])
             pair = Judged(
@@ -300,8 +302,12 @@ class _Fold:
             fit = step.fits[name]
             if not slow:
                 return self._evidence_of_some(fit, step.hypotheses[name])
-            near = fit.linearise(step.hypotheses[name].seen(self.report.batch), self.simulator)
-            return evidence_beside_slow(near.of_experiments(torch.tensor(self.kept)), steps=0)
+            near = fit.linearise(
+                step.hypotheses[name].seen(self.report.batch), self.simulator
+            )
+            return evidence_beside_slow(
+                near.of_experiments(torch.tensor(self.kept)), steps=0
+            )
 
         held = step.held
         tried = [name for name in step.log_evidence if name != held.name]

@@ -27,7 +27,9 @@ EXPLAINS = 3.0
 """Nats that an effect must explain to count as more than nothing."""
 GEL_SCATTER = "gel_scatter"
 """Name of the hypothesis that the gel differs between experiments."""
-_GEL_APART = 0.25  # prior standard deviations between the starts of a fit that frees no effect
+_GEL_APART = (
+    0.25  # prior standard deviations between the starts of a fit that frees no effect
+)
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,11 @@ class Hypothesis:
         """The prior of base and effects together."""
         return add_parameters(
             self.base,
-            {name: prior for effect in self.effects for name, prior in effect.priors.items()},
+            {
+                name: prior
+                for effect in self.effects
+                for name, prior in effect.priors.items()
+            },
         )
 
     def starts(
@@ -144,7 +150,9 @@ class Inquiry:
 
     def test(self, fit: ModelFit, held: Hypothesis, *, seed: int) -> Adequacy:
         """The gap test at the fit of a hypothesis."""
-        return adequacy_test(fit, self.effects, held.seen(self.batch), self.simulator, seed=seed)
+        return adequacy_test(
+            fit, self.effects, held.seen(self.batch), self.simulator, seed=seed
+        )
 
 
 def in_words(part: str) -> str:

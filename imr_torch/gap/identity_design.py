@@ -75,7 +75,9 @@ def remaining_causes(
     Raises:
         InputDataError: if fewer than two causes are left.
     """
-    ranked = sorted((name for name in posterior if name in fits), key=lambda name: -posterior[name])
+    ranked = sorted(
+        (name for name in posterior if name in fits), key=lambda name: -posterior[name]
+    )
     chosen: dict[str, str] = {}
     for name in ranked:
         # two members of a family are the same to first order: no design of this kind separates them

@@ -99,7 +99,8 @@ class Likeness:
         width = (self.log_p + _WINDOW).clamp_max(0.0).exp() - (self.log_p - _WINDOW).exp()
         near = (self.log_p - log).abs() <= _WINDOW
         density = float(
-            self.weights @ torch.where(near, width.clamp_min(1e-300).reciprocal(), 0.0).mean(1)
+            self.weights
+            @ torch.where(near, width.clamp_min(1e-300).reciprocal(), 0.0).mean(1)
         )
         strange = math.exp(math.log(_SHAPE) + (_SHAPE - 1.0) * log)
         return (1.0 - _STRANGE) * density + _STRANGE * strange
@@ -115,7 +116,9 @@ def likeness(size: float, left: Adequacy, *, seed: int) -> Likeness:
     """
     source = generator(child(seed, "likeness"))
     line = left.line
-    every = {name: _unit(own, line) for name, own in {**left.beside, **left.generic}.items()}
+    every = {
+        name: _unit(own, line) for name, own in {**left.beside, **left.generic}.items()
+    }
     every = {name: own for name, own in every.items() if len(own)}
     beyond, every = _in_own_span(every, line)
     owners = [name for name, own in every.items() if name in left.beside for _ in own]
@@ -141,10 +144,14 @@ def likeness(size: float, left: Adequacy, *, seed: int) -> Likeness:
         own = torch.nonzero(tested & (nearest == winner))[:, 0]
         empty = zeros(len(known[0]))
         here = replace(line, residual=empty, fitted=known[winner][:, None])
-        blocks = [make_block(n, rows, here) for n, rows in every.items() if n != owners[winner]]
+        blocks = [
+            make_block(n, rows, here) for n, rows in every.items() if n != owners[winner]
+        ]
         blocks = [b for b in blocks if b.directions.shape[1]]
         if null is None:
-            noise = _log_p_values(blocks, here, beyond, empty[None, None], _CALIBRATION, source)
+            noise = _log_p_values(
+                blocks, here, beyond, empty[None, None], _CALIBRATION, source
+            )
             null = noise.amin(0).flatten().sort().values
         signals = (size / cosine[own])[:, None] * reference[own]
         logs = _log_p_values(blocks, here, beyond, signals[:, None], _NOISES, source)
@@ -155,7 +162,9 @@ def likeness(size: float, left: Adequacy, *, seed: int) -> Likeness:
             offered += [True] * (len(logs) - len(blocks))
             log_p[place] = _calibrated(logs[offered, row].amin(0), null)
     # every effect counts as one, and so does every generic stress function
-    weights = tensor([(len(laws) if n == STATE_LAW else 1.0) / names.count(n) for n in names])
+    weights = tensor(
+        [(len(laws) if n == STATE_LAW else 1.0) / names.count(n) for n in names]
+    )
     return Likeness(size, log_p, weights / weights.sum())
 
 

@@ -37,9 +37,7 @@ MATTERS = 1.0 / 3.0
 """Shift, in posterior standard deviations, from which on an assumed value is said to matter."""
 
 _STEP = 1e-3
-_NO_SCALE = (
-    3.0  # relative change of a parameter that is nearly zero, for which percents say nothing
-)
+_NO_SCALE = 3.0  # relative change of a parameter that is nearly zero, for which percents say nothing
 
 
 @dataclass(frozen=True)
@@ -67,7 +65,9 @@ class MediumSensitivity:
 
     def sentence(self) -> str:
         """In words."""
-        return render("sensitivity.txt", found=self, label=label(self.name), no_scale=_NO_SCALE)
+        return render(
+            "sensitivity.txt", found=self, label=label(self.name), no_scale=_NO_SCALE
+        )
 
     def to_dict(self) -> Document:
         """JSON-ready values."""

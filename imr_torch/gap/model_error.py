@@ -66,7 +66,9 @@ _MISNAMED = 0.2
 # probability of an unknown effect where the test finds no gap: that before the data, which is cautious
 # (with the power of the tests it would be .26 to .44 for three designs x ten repeats)
 _HIDES = 0.5
-_GENERIC = 30.0  # standard deviations that a stress law or pulse of usual size changes the data by
+_GENERIC = (
+    30.0  # standard deviations that a stress law or pulse of usual size changes the data by
+)
 _ALIKE = 0.5  # share of the unknown whose gel is that beside a known effect
 # values of what the nearest hypothesis leaves that are independent of one another, since it is smooth:
 # with 12 to 80 of them the same intervals hold the truth of effects that were withheld
@@ -122,7 +124,11 @@ def model_error(report: GapReport, *, seed: int = 0) -> ModelError:
             count -= sum(len(moved) for _, moved in drawn)
         if name in (OTHER, SLOW_NOISE):
             budgets = [
-                (fit, math.log(prior), missing_system(left, inside=name == OTHER).solve(size))
+                (
+                    fit,
+                    math.log(prior),
+                    missing_system(left, inside=name == OTHER).solve(size),
+                )
                 for fit, left, prior in places
                 for size in _SIZES
             ]
@@ -131,7 +137,9 @@ def model_error(report: GapReport, *, seed: int = 0) -> ModelError:
             fit = report.null
             if found is not None:
                 fit = found.fits[found.held.name if name == NONE else name]
-            drawn.append((fit, _draw(fit, overdispersion(fit, report.batch), count, source)))
+            drawn.append(
+                (fit, _draw(fit, overdispersion(fit, report.batch), count, source))
+            )
         controls = torch.cat([_controls_of(part.names, fit, moved) for fit, moved in drawn])
         if name == report.verdict == OTHER:
             middle = controls.median(0).values
@@ -146,7 +154,9 @@ def model_error(report: GapReport, *, seed: int = 0) -> ModelError:
     )
 
 
-def _controls_of(names: Sequence[str], fit: ModelFit, moved: DrawnControls) -> DrawnControls:
+def _controls_of(
+    names: Sequence[str], fit: ModelFit, moved: DrawnControls
+) -> DrawnControls:
     """Normal scores of the gel's parameters, whose marginals are the same in every fit."""
     return fit.prior.unwhitened(moved)[:, [fit.prior.names.index(name) for name in names]]
 
@@ -155,7 +165,11 @@ def _judged(report: GapReport) -> Attribution | None:
     """The attribution whose causes the data do not rule out."""
     if not report.steps:
         return None
-    return report.steps[-1] if report.verdict == OTHER else report.attribution or report.steps[-1]
+    return (
+        report.steps[-1]
+        if report.verdict == OTHER
+        else report.attribution or report.steps[-1]
+    )
 
 
 def _shares(report: GapReport) -> dict[str, float]:
@@ -176,7 +190,9 @@ def _shares(report: GapReport) -> dict[str, float]:
     return shares
 
 
-def _draw(fit: ModelFit, misfit: float, count: int, source: torch.Generator) -> DrawnControls:
+def _draw(
+    fit: ModelFit, misfit: float, count: int, source: torch.Generator
+) -> DrawnControls:
     """Controls by a fit, its noise inflated to the misfit that is left."""
     noise = randn(count, len(fit.mean), generator=source)
     return fit.mean + math.sqrt(misfit) * noise @ fit.chol.mT
@@ -211,7 +227,9 @@ def _with_unknown(
     Misfit that even the best of them leaves counts as noise.
     """
     least = max(1.0, min(refit.misfit for _, _, refit in budgets) / frames)
-    logs = tensor([p + refit.log_volume - 0.5 * refit.misfit / least for _, p, refit in budgets])
+    logs = tensor(
+        [p + refit.log_volume - 0.5 * refit.misfit / least for _, p, refit in budgets]
+    )
     picked = torch.multinomial(logs.softmax(0), count, replacement=True, generator=source)
     drawn = []
     for number, times in zip(*picked.unique(return_counts=True), strict=True):
@@ -293,7 +311,9 @@ def hidden_effects(report: GapReport) -> tuple[Hidden, ...]:
     left = found.left if found else report.left
     fit = found.winner_fit if found else report.null
     rows = [_hidden(effect, left, fit, report.base.of_gel) for effect in left.effects]
-    return tuple(sorted(rows, key=lambda row: -max(map(abs, row.shift.values()), default=0.0)))
+    return tuple(
+        sorted(rows, key=lambda row: -max(map(abs, row.shift.values()), default=0.0))
+    )
 
 
 def _hidden(effect: Effect, left: Adequacy, fit: ModelFit, gel: Sequence[str]) -> Hidden:
@@ -311,7 +331,9 @@ def _hidden(effect: Effect, left: Adequacy, fit: ModelFit, gel: Sequence[str]) -
     needed = float(chndtrinc(least, rank, 1.0 - FOUND)) ** 0.5
     times = needed / float(beside[place])
     plausible = times <= _PLAUSIBLE
-    shift = (times if plausible else 1.0) * (left.line.to_shift @ rows[place])[: len(fit.mean)]
+    shift = (times if plausible else 1.0) * (left.line.to_shift @ rows[place])[
+        : len(fit.mean)
+    ]
     moved = torch.stack((fit.mean, fit.mean + shift))
     before, after = fit.prior.physical(fit.prior.unwhitened(moved))
     relative = (after / before - 1.0).tolist()

@@ -16,7 +16,13 @@ from imr_torch.assimilate import ModelFit
 from imr_torch.gap.adequacy import Adequacy
 from imr_torch.gap.attribute import Attribution, Candidates, attribute, reconsider
 from imr_torch.gap.fits import finish
-from imr_torch.gap.hypotheses import EXPLAINS, Hypothesis, Inquiry, in_words, laplace_evidence
+from imr_torch.gap.hypotheses import (
+    EXPLAINS,
+    Hypothesis,
+    Inquiry,
+    in_words,
+    laplace_evidence,
+)
 from imr_torch.gap.verdict import MEMBER, NONE, OTHER, SLOW_NOISE, Choice, choose
 from imr_torch.gap.within_misfit import (
     AGAIN,
@@ -152,7 +158,9 @@ def _select_until_adequate(
         what = "with new noise, cause" if path else "cause"
         expected = 0.0 if path else expect_selections(inquiry, left)
         counted = report_selection(inquiry, held, what, times, expected=expected)
-        found = attribute(counted, fit, held, before=before, near=near, seed=own, masked=masked)
+        found = attribute(
+            counted, fit, held, before=before, near=near, seed=own, masked=masked
+        )
         if held.parts and found.explained[found.winner.name] < EXPLAINS:
             break
         choice = choose(found.posterior)
@@ -213,14 +221,18 @@ def _with_one_part(
     return name_causes(alone, choice)
 
 
-def _conclude_other(null: ModelFit, left: Adequacy, steps: Sequence[Attribution]) -> Finding:
+def _conclude_other(
+    null: ModelFit, left: Adequacy, steps: Sequence[Attribution]
+) -> Finding:
     """The verdict where an unknown effect stays more probable than not."""
     held = steps[-1].winner
     fit = steps[-1].winner_fit
     test = steps[-1].adequacy
     nearest = " and ".join(map(in_words, held.parts))
     explained = laplace_evidence(fit) - laplace_evidence(null)
-    finding = Finding(OTHER, (), "", held, fit, steps[0], test.p_value, choose(steps[-1].posterior))
+    finding = Finding(
+        OTHER, (), "", held, fit, steps[0], test.p_value, choose(steps[-1].posterior)
+    )
     # a nearly converged fit would not become adequate by converging further
     if not fit.certificate.nearly_converged:
         reason = (
@@ -232,7 +244,9 @@ def _conclude_other(null: ModelFit, left: Adequacy, steps: Sequence[Attribution]
     if explained < EXPLAINS:
         reason = f"No effect of the library explains any of it (adequacy {p_value(test.p_value)})."
         return replace(finding, reason=reason, selected=steps[0].held, selected_fit=null)
-    misfit = f"the misfit in R* goes from {left.test.bias_radius:.4f} to {test.bias_radius:.4f}"
+    misfit = (
+        f"the misfit in R* goes from {left.test.bias_radius:.4f} to {test.bias_radius:.4f}"
+    )
     reason = (
         f"No effect of the library is enough; nearest comes {nearest} "
         f"({explained:.0f} nats; {misfit}; adequacy {p_value(test.p_value)})."
@@ -247,7 +261,9 @@ def _is_slow_noise(found: Attribution) -> bool:
     slow = found.posterior.get(SLOW_NOISE)
     if slow is None or slow <= MEMBER or slow + found.posterior[OTHER] <= _UNKNOWN:
         return False
-    return slow >= max(p for name, p in found.posterior.items() if name not in (OTHER, SLOW_NOISE))
+    return slow >= max(
+        p for name, p in found.posterior.items() if name not in (OTHER, SLOW_NOISE)
+    )
 
 
 def name_causes(found: Attribution, choice: Choice) -> Finding:
@@ -260,13 +276,13 @@ def name_causes(found: Attribution, choice: Choice) -> Finding:
     reason = _reason_for_doubt(found, choice)
     if not reason and len(choice.causes) == 1:
         verdict = "effect"
-        reason = (
-            f"With it the model explains the curves ({p_value(p)}); other causes are improbable."
-        )
+        reason = f"With it the model explains the curves ({p_value(p)}); other causes are improbable."
     elif not reason:
         verdict = "class"
         reason = "These effects explain the data about equally well."
-    return Finding(verdict, causes, reason, found.winner, found.winner_fit, found, p, choice)
+    return Finding(
+        verdict, causes, reason, found.winner, found.winner_fit, found, p, choice
+    )
 
 
 def _reason_for_doubt(found: Attribution, choice: Choice) -> str:
@@ -275,7 +291,9 @@ def _reason_for_doubt(found: Attribution, choice: Choice) -> str:
         return "No fit with an effect converged."
     if found.left_out:
         ahead = ", ".join(in_words(found.part(name)) for name in found.left_out)
-        return f"The fit with {ahead} did not converge and was left out; it may explain more."
+        return (
+            f"The fit with {ahead} did not converge and was left out; it may explain more."
+        )
     if NONE in choice.members:
         held = " and ".join(map(in_words, found.held.parts)) or "The base model"
         return (
@@ -284,7 +302,9 @@ def _reason_for_doubt(found: Attribution, choice: Choice) -> str:
         )
     if SLOW_NOISE in choice.members:
         slow = choice.members[SLOW_NOISE]
-        return f"Slow noise of the camera looks alike (probability {slow:.2f}): repeat a shot."
+        return (
+            f"Slow noise of the camera looks alike (probability {slow:.2f}): repeat a shot."
+        )
     if not choice.decided:
         return "The probability is spread over too many effects to name a cause."
     return ""

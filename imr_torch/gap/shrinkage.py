@@ -126,7 +126,11 @@ def shrinkage(
     if not report.selected.effects:
         return None
     judged = judge_designs(
-        report, simulator, unseen, seed=child(seed, "judge"), progress=within(progress, 0.0, 0.9)
+        report,
+        simulator,
+        unseen,
+        seed=child(seed, "judge"),
+        progress=within(progress, 0.0, 0.9),
     )
     if not judged:
         return None
@@ -144,7 +148,9 @@ def shrinkage(
         share=_interval(excess, source) if left else None,
         later=_interval(torch.stack(later), source) if turned else None,
         placebo=(
-            _placebo(report, judged, placebos, child(seed, "placebo"), within(progress, 0.9, 1.0))
+            _placebo(
+                report, judged, placebos, child(seed, "placebo"), within(progress, 0.9, 1.0)
+            )
             if left
             else ()
         ),
@@ -172,7 +178,9 @@ def _interval(
     picked = torch.randint(count, (_DRAWS, max(count - 1, 1)), generator=source)
     weights = torch.nn.functional.one_hot(picked, count).sum(1).to(torch.float64)
     without, with_effect = (weights @ units).unbind(1)
-    ratio = torch.where(without > 0.0, 1.0 - with_effect / without.clamp_min(1e-300), torch.nan)
+    ratio = torch.where(
+        without > 0.0, 1.0 - with_effect / without.clamp_min(1e-300), torch.nan
+    )
     ratio = ratio.clamp(-_WIDEST, _WIDEST)
     low = float(ratio.nan_to_num(nan=-1.0).quantile(0.05))
     high = float(ratio.nan_to_num(nan=1.0).quantile(0.95))
@@ -206,13 +214,17 @@ def _placebo(
         for pair in judged:
             gel, amplitudes = fitted[id(pair.training)]
             own = pair.base
-            rows = own.line.whiten(_random_changes(own.line, weights))[:, : len(own.residual)]
+            rows = own.line.whiten(_random_changes(own.line, weights))[
+                :, : len(own.residual)
+            ]
             change = own.by_gel @ gel[: own.by_gel.shape[1]] + amplitudes @ rows
             after += float(pair.excess(own.residual - change).sum())
         shares.append(max(-_WIDEST, min(_WIDEST, 1.0 - after / before)))
         if progress:
             done = number + 1
-            progress(ProgressLine(f"placebo {done}/{count}", step="placebo", done=done, of=count))
+            progress(
+                ProgressLine(f"placebo {done}/{count}", step="placebo", done=done, of=count)
+            )
     return tuple(sorted(shares))
 
 

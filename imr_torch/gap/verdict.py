@@ -144,9 +144,13 @@ def probabilities(
         logs[SLOW_NOISE] = math.log(slow) + smooth[0]
     top = max(*logs.values(), unknown)
     weights = {name: math.exp(value - top) for name, value in logs.items()}
-    of_effects = sum(weight for name, weight in weights.items() if name not in (NONE, SLOW_NOISE))
+    of_effects = sum(
+        weight for name, weight in weights.items() if name not in (NONE, SLOW_NOISE)
+    )
     against = VERDICT_ODDS * masked / PRIOR_TWO if beside else VERDICT_ODDS
-    weights[OTHER] = of_effects * min(against * bayes_factor, 1e12) + math.exp(unknown - top)
+    weights[OTHER] = of_effects * min(against * bayes_factor, 1e12) + math.exp(
+        unknown - top
+    )
     total = sum(weights.values())
     return {name: weight / total for name, weight in weights.items()}
 

@@ -34,7 +34,9 @@ AGAIN = 0.2
 _AHEAD = 8
 # p-value below which the verdict was "other" in 13 of 13 measured sets
 _LARGE_GAP = 1e-6
-_SIFTED = 5  # starts of an effect; minima that noise of this size leaves are of about one depth
+_SIFTED = (
+    5  # starts of an effect; minima that noise of this size leaves are of about one depth
+)
 _NOISE_ROUNDS = 2  # times that the noise is inferred about a fit, and the fit made with it
 
 
@@ -131,7 +133,9 @@ class MisfitSelection:
         """
         inquiry = self.inquiry
         found = self._fit_longer()
-        step, explained = weigh_beside_slow([found, *beside], inquiry.batch, inquiry.simulator)
+        step, explained = weigh_beside_slow(
+            [found, *beside], inquiry.batch, inquiry.simulator
+        )
         self.steps.append(step)
         name, nats = max(explained.items(), key=itemgetter(1), default=("", 0.0))
         if nats < EXPLAINS:
@@ -188,7 +192,9 @@ def report_selection(
     expected = max(times[1], expected)
     name = f"{what} {len(held.parts) + 1} of at most {inquiry.most}"
     parts = (times[0] / expected, times[1] / expected)
-    return replace(inquiry, progress=within(inquiry.progress, *parts, name=name, size=expected))
+    return replace(
+        inquiry, progress=within(inquiry.progress, *parts, name=name, size=expected)
+    )
 
 
 def expect_selections(inquiry: Inquiry, left: Adequacy) -> float:

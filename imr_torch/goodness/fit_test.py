@@ -73,7 +73,11 @@ class FitTest:
 
     def sentence(self, command: str = "imr-torch diagnose") -> str:
         """The result in one sentence; ``command`` is what to try after a misfit."""
-        names = {"p_value": p_value, "title": material(self.model).title, "command": command}
+        names = {
+            "p_value": p_value,
+            "title": material(self.model).title,
+            "command": command,
+        }
         return render("fit_test.txt", test=self, **names).strip()
 
     def to_dict(self) -> dict[str, Any]:
@@ -120,13 +124,19 @@ def check_fit(
             reason="too few frames for the noise to be inferred from them; shoot more curves.",
         )
     # as the figures show them
-    left = (batch.mean - fit.prediction) * batch.counts.sqrt() / batch.of_frames.sd(fit.prediction)
+    left = (
+        (batch.mean - fit.prediction)
+        * batch.counts.sqrt()
+        / batch.of_frames.sd(fit.prediction)
+    )
     left = torch.where(batch.mask, left, 0.0)
     clock = phase_clock(batch.times, fit.prediction, batch.mask)
     near = fit.linearise(batch, simulator)
     batch = infer_frame_noise(near).applied(batch)
     fit, line = _move_to_noise(fit, batch, simulator)
-    test = gap_test(generic_blocks(fit, batch, simulator, line), line, seed=child(seed, "fit test"))
+    test = gap_test(
+        generic_blocks(fit, batch, simulator, line), line, seed=child(seed, "fit test")
+    )
     if test.found and not fit.certificate.usable:
         return FitTest(
             fit.model,
@@ -169,7 +179,10 @@ def _move_to_noise(
         own = whiten_rows(near)
         if own.residual.square().sum() < line.residual.square().sum():
             moved = replace(
-                fit, mean=near.point.gel, nuisances=near.point.nuisances, prediction=near.centre
+                fit,
+                mean=near.point.gel,
+                nuisances=near.point.nuisances,
+                prediction=near.centre,
             )
             return moved, own
     return fit, line

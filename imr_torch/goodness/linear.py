@@ -67,7 +67,9 @@ class Linearisation:
 
         1 for priors and 0 in the padding.
         """
-        ratios = self.batch.log_noise_ratios(self.prediction, count, generator=generator).exp()
+        ratios = self.batch.log_noise_ratios(
+            self.prediction, count, generator=generator
+        ).exp()
         return self.pad_rows(torch.where(self.batch.mask, ratios, 0.0).flatten(1), 1.0)
 
     def pad_rows(self, rows: Float[Tensor, "*batch data"], value: float = 0.0) -> Rows:
@@ -121,7 +123,9 @@ def predict_changed(
     return predict(simulator, parameters, batch, point.nuisances * batch.nuisance_sds)
 
 
-def linearise_fit(fit: ModelFit, batch: ExperimentBatch, simulator: Simulator) -> Linearisation:
+def linearise_fit(
+    fit: ModelFit, batch: ExperimentBatch, simulator: Simulator
+) -> Linearisation:
     """Local sensitivities at a fit, by finite differences of bubbles that take the same solver
     steps.
     """

@@ -83,7 +83,9 @@ class PartsTest:
     @property
     def compared(self) -> list[tuple[float, str, str]]:
         """Absolute shift, part and parameter, the largest last."""
-        return sorted((abs(z), part.name, x) for part in self.parts for x, z in part.shifts.items())
+        return sorted(
+            (abs(z), part.name, x) for part in self.parts for x, z in part.shifts.items()
+        )
 
     @property
     def limit(self) -> float:
@@ -160,7 +162,9 @@ def compare_parts(
         covariance = torch.linalg.inv(used.mT @ used)
         shift = covariance @ (used.mT @ line.residual)
         shift = shift / shift.norm().clamp_min(1.0)
-        return covariance.diagonal()[columns], near.posterior.point_at(near.coordinates + shift)
+        return covariance.diagonal()[columns], near.posterior.point_at(
+            near.coordinates + shift
+        )
 
     mean, whole, converged = fit_frames(fit, batch, simulator, batch.mask)
     variance, _ = refit_linearly(batch.mask)
@@ -176,10 +180,14 @@ def compare_parts(
         tells = (wider > widened**2 * variance) & torch.tensor(ended)
         shifts = {x: float(z[i]) for i, x in enumerate(names) if tells[i]}
         parts.append(Part(name, int(frames.sum()), without, shifts, ended))
-    influence = line.to_shift[columns, : batch.mask.numel()].square().unflatten(1, batch.mask.shape)
+    influence = (
+        line.to_shift[columns, : batch.mask.numel()].square().unflatten(1, batch.mask.shape)
+    )
     telling = {
         experiment.label: {
-            name: _describe_telling(influence[i, e], {part: own[e] for part, own in inside.items()})
+            name: _describe_telling(
+                influence[i, e], {part: own[e] for part, own in inside.items()}
+            )
             for i, name in enumerate(names)
         }
         for e, experiment in enumerate(batch.curves)

@@ -185,7 +185,9 @@ def left_beside(rows: Directions, line: Linearisation) -> Directions:
     return left[left.square().sum(1) > LEAST_LEFT * rows.square().sum(1).clamp_min(1e-300)]
 
 
-def make_block(name: str, rows: Directions, line: Linearisation, *, rank: float = 1e-3) -> Block:
+def make_block(
+    name: str, rows: Directions, line: Linearisation, *, rank: float = 1e-3
+) -> Block:
     """A block from whitened directions ``k x N``: projected, then reduced to an orthonormal set,
     to which singular values below a share of ``rank`` of the largest add nothing.
     """
@@ -236,7 +238,9 @@ def generic_rows(
         one = eye(experiments)
         masks = line.pad_rows(one.repeat_interleave(times.shape[1], 1))
         found["parameters between designs"] = (masks[:, None] * gel).flatten(0, 1)
-        found["pressure pulses in single experiments"] = (masks[:, None] * pulses).flatten(0, 1)
+        found["pressure pulses in single experiments"] = (masks[:, None] * pulses).flatten(
+            0, 1
+        )
     return found
 
 
@@ -245,7 +249,9 @@ def pulse_changes(batch: ExperimentBatch, count: int = 8) -> list[dict[str, floa
     last = float(batch.times[batch.mask].max())
     width = math.log(0.5 * last / count)
     centres = linspace(0.1, 0.9, count) * last
-    return [{"pulse": 0.01, "pulse_time": t, "pulse_width": width} for t in centres.tolist()]
+    return [
+        {"pulse": 0.01, "pulse_time": t, "pulse_width": width} for t in centres.tolist()
+    ]
 
 
 def shape_rows(line: Linearisation) -> Float[Tensor, "3 rows"]:
@@ -260,7 +266,9 @@ def shape_rows(line: Linearisation) -> Float[Tensor, "3 rows"]:
 
 def differentiate(curves: ExperimentFrames, times: ExperimentFrames) -> ExperimentFrames:
     """Derivatives ``E x T`` of curves by time, by differences between frames."""
-    slopes = [torch.gradient(r, spacing=(t,))[0] for r, t in zip(curves, times, strict=True)]
+    slopes = [
+        torch.gradient(r, spacing=(t,))[0] for r, t in zip(curves, times, strict=True)
+    ]
     return torch.stack(slopes)
 
 
@@ -308,7 +316,9 @@ def gap_test(blocks: Sequence[Block], line: Linearisation, *, seed: int) -> GapT
     count = int((smallest[1:] <= smallest[0]).sum())
     bonferroni = min(1.0, len(results) * min(result.p_value for result in results))
     # p-values that the bootstrap cannot resolve: Bonferroni's bound
-    p_value = (1 + count) / (1 + BOOTSTRAP) if count else min(bonferroni, 1.0 / (1 + BOOTSTRAP))
+    p_value = (
+        (1 + count) / (1 + BOOTSTRAP) if count else min(bonferroni, 1.0 / (1 + BOOTSTRAP))
+    )
     return GapTest(
         p_value, tuple(sorted(results, key=lambda r: r.p_value)), *_bias_beyond_noise(line)
     )
@@ -359,7 +369,9 @@ def _bias_beyond_noise(line: Linearisation) -> tuple[float, float]:
     batch = line.batch
     frames = batch.mask.sum()
     residual = torch.where(batch.mask, batch.mean - line.prediction, 0.0)
-    phase = torch.where(batch.mask, phase_numbers(batch.times, line.prediction, batch.mask), -1)
+    phase = torch.where(
+        batch.mask, phase_numbers(batch.times, line.prediction, batch.mask), -1
+    )
     own = noise_shares([batch.whiten(residual, line.sd).square()], phase) * (
         1.0 - line.fitted.shape[1] / len(line.residual)
     )

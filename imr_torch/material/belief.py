@@ -64,7 +64,9 @@ class Belief:
     def __post_init__(self) -> None:
         keys = [m.model for m in self.models]
         if not keys or len(set(keys)) != len(keys):
-            raise InputDataError(f"A belief needs at least one model and each once, got {keys}.")
+            raise InputDataError(
+                f"A belief needs at least one model and each once, got {keys}."
+            )
         logs = self.log_probabilities
         if logs.shape != (len(keys),) or not bool((logs < math.inf).all()):
             raise InputDataError(
@@ -99,7 +101,9 @@ class Belief:
         parts = []
         for key, marginals in models.items():
             kind = material(key)
-            free = tuple(name for name in kind.free if name in marginals or name not in given)
+            free = tuple(
+                name for name in kind.free if name in marginals or name not in given
+            )
             if set(marginals) != set(free):
                 raise InputDataError(
                     f"Model {key!r} needs a prior of each of {free}; got {tuple(marginals)}."
@@ -111,7 +115,9 @@ class Belief:
                     "`known`."
                 )
             of_model = set(kind.names) - set(free)
-            fixed = {name: float(value) for name, value in given.items() if name in of_model}
+            fixed = {
+                name: float(value) for name, value in given.items() if name in of_model
+            }
             ordered = tuple(marginals[name] for name in free)
             mean = zeros(len(free))
             parts.append(ModelBelief(key, ordered, mean, torch.diag(mean + 1.0), fixed))
@@ -182,14 +188,20 @@ class Belief:
             InputDataError: if the document is not a belief, or its parameter names differ from the
                 models'.
         """
-        found = document.get("format") if isinstance(document, Mapping) else type(document).__name__
+        found = (
+            document.get("format")
+            if isinstance(document, Mapping)
+            else type(document).__name__
+        )
         if found != "imr_torch belief 1":
             raise InputDataError(
                 f"Expected a document of the format 'imr_torch belief 1', got {found!r}."
             )
         try:
             parts = tuple(_part_from_dict(entry) for entry in document["models"])
-            logs = [-math.inf if v is None else float(v) for v in document["log_probabilities"]]
+            logs = [
+                -math.inf if v is None else float(v) for v in document["log_probabilities"]
+            ]
             return cls(parts, tensor(logs))
         except InputDataError:
             raise

@@ -41,7 +41,9 @@ class ReferenceCase:
 
 def _read_case(key: str, row: Document) -> ReferenceCase:
     priors = {
-        model: {name: TruncatedNormal(*moments, lower=0.0) for name, moments in prior.items()}
+        model: {
+            name: TruncatedNormal(*moments, lower=0.0) for name, moments in prior.items()
+        }
         for model, prior in row["prior"].items()
     }
     return ReferenceCase(key, row["truth_model"], row["truth"], Belief.prior(priors))
@@ -103,11 +105,15 @@ def wide_prior(
             )
     repeated = [key for key in dict.fromkeys(models) if list(models).count(key) > 1]
     if repeated or not models:
-        raise InputDataError(f"models is {list(models)}; name at least one model, each once.")
+        raise InputDataError(
+            f"models is {list(models)}; name at least one model, each once."
+        )
     held = set(fixed) - {name for key in models for name in material(key).known}
     priors = {
         key: {
-            name: _find_default_prior(key, name) for name in material(key).free if name not in held
+            name: _find_default_prior(key, name)
+            for name in material(key).free
+            if name not in held
         }
         for key in models
     }
@@ -116,7 +122,9 @@ def wide_prior(
 
 def _find_default_prior(model: str, name: str) -> Marginal:
     """The prior that a parameter was registered with, or that of its effect."""
-    of_effects = [effect.priors[name] for effect in LIBRARY.values() if name in effect.priors]
+    of_effects = [
+        effect.priors[name] for effect in LIBRARY.values() if name in effect.priors
+    ]
     prior = PARAMETERS[name].prior or next(iter(of_effects), None)
     if prior is None:
         raise InputDataError(

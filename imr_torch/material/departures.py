@@ -138,7 +138,9 @@ def graded(
     cube = stretch * stretch * stretch
     root = (stretch + 1.0) / (2.0 * square * (square + stretch + 1.0))
     q = root * root * (2.0 * square + 1.0)
-    slope = inverse * (1.0 + inverse * inverse * inverse) - 3.0 * cube * q  # of (l^3 - 1) q in ln l
+    slope = (
+        inverse * (1.0 + inverse * inverse * inverse) - 3.0 * cube * q
+    )  # of (l^3 - 1) q in ln l
     scale = -2.0 * G * graded_modulus
     return scale * (cube - 1.0) * q, scale * slope * velocity / radius, 0.0
 
@@ -169,9 +171,15 @@ def _signed_square(x: Scalar) -> tuple[Scalar, Scalar]:
     return x * size, size + x * x / size
 
 
-def stretch(radius: Scalar, velocity: Scalar, rest_radius: Scalar, law_stretch: Scalar) -> Scalars:
+def stretch(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, law_stretch: Scalar
+) -> Scalars:
     """``lambda - 1``."""
-    return -law_stretch * (radius / rest_radius - 1.0), -law_stretch * velocity / rest_radius, 0.0
+    return (
+        -law_stretch * (radius / rest_radius - 1.0),
+        -law_stretch * velocity / rest_radius,
+        0.0,
+    )
 
 
 def squared_stretch(
@@ -192,7 +200,11 @@ def compression(
     """``lambda^-3 - 1``."""
     inverse = rest_radius / radius
     cubed = inverse * inverse * inverse
-    return -law_compression * (cubed - 1.0), 3.0 * law_compression * cubed * velocity / radius, 0.0
+    return (
+        -law_compression * (cubed - 1.0),
+        3.0 * law_compression * cubed * velocity / radius,
+        0.0,
+    )
 
 
 def steep_compression(
@@ -209,7 +221,9 @@ def steep_compression(
     )
 
 
-def speed(radius: Scalar, velocity: Scalar, rest_radius: Scalar, law_velocity: Scalar) -> Scalars:
+def speed(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, law_velocity: Scalar
+) -> Scalars:
     """``U``."""
     return -law_velocity * velocity, 0.0, -law_velocity
 

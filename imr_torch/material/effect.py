@@ -131,7 +131,8 @@ class Effect:
         if len(self.names) > 1 or not isinstance(prior, TruncatedNormal):
             return ()
         return tuple(
-            (share * prior.sd,) for share in ((0.3, 1.2) if prior.lower == 0.0 else (0.4, -0.4))
+            (share * prior.sd,)
+            for share in ((0.3, 1.2) if prior.lower == 0.0 else (0.4, -0.4))
         )
 
     @property
@@ -177,7 +178,9 @@ def register_effect(effect: Effect) -> Effect:
     >>> _ = LIBRARY.pop("linear_spring")  # undo it here
     """
     if effect.name in LIBRARY:
-        raise InputDataError(f"An effect of the name {effect.name!r} is registered already.")
+        raise InputDataError(
+            f"An effect of the name {effect.name!r} is registered already."
+        )
     LIBRARY[effect.name] = effect
     return effect
 
@@ -223,11 +226,15 @@ def library(
     """
     for name in (*(names or ()), *without):
         if name not in LIBRARY:
-            raise InputDataError(f"Unknown effect {name!r}; known are {', '.join(LIBRARY)}.")
+            raise InputDataError(
+                f"Unknown effect {name!r}; known are {', '.join(LIBRARY)}."
+            )
     offered = [name for name, effect in LIBRARY.items() if effect.offered]
     chosen = offered if names is None else dict.fromkeys(names)
     return tuple(
-        LIBRARY[name] for name in chosen if name not in without and LIBRARY[name].applies(base)
+        LIBRARY[name]
+        for name in chosen
+        if name not in without and LIBRARY[name].applies(base)
     )
 
 

@@ -20,7 +20,9 @@ from imr_torch.elementary import Law, Scalar, Scalars, exp, expm1, log, real, wh
 from imr_torch.material.stress import StressTerm, unit_rule
 
 
-def neo_hookean(radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar) -> Scalars:
+def neo_hookean(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar
+) -> Scalars:
     """``S = -(5 - 4/l - 1/l^4) / (2 Ca)`` with ``l = R/R_inf`` (Gaudron et al. 2015, eq. 2.22)."""
     inverse = rest_radius / radius
     cubed = inverse * inverse * inverse
@@ -42,8 +44,12 @@ def stiffening(
     x3 = x2 * x
     stretch = 4.0 / x
     scale = alpha * G
-    value = scale * (8.85 - stretch + x * (x3 * (x * (0.4 + 0.25 * x3) - 1.5) + 2.0 * x - 6.0))
-    slope = scale * (-2.0 * x * (x3 * (x + x2 * x2 - 3.0) + 2.0 * x - 3.0) - stretch)  # dS/d ln l
+    value = scale * (
+        8.85 - stretch + x * (x3 * (x * (0.4 + 0.25 * x3) - 1.5) + 2.0 * x - 6.0)
+    )
+    slope = scale * (
+        -2.0 * x * (x3 * (x + x2 * x2 - 3.0) + 2.0 * x - 3.0) - stretch
+    )  # dS/d ln l
     return value, slope * velocity / radius, 0.0
 
 
@@ -52,7 +58,9 @@ def _has_no_bound(G: Tensor, alpha: Tensor) -> Tensor:
     return (G > 0.0) & (alpha < 0.0)
 
 
-def linear_elastic(radius: Scalar, velocity: Scalar, rest_radius: Scalar, G_lin: Scalar) -> Scalars:
+def linear_elastic(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, G_lin: Scalar
+) -> Scalars:
     """The small-strain limit, ``S = -(4/3) G (1 - 1/l^3)`` (Estrada et al. 2018, section 2.2)."""
     inverse = rest_radius / radius
     cubed = inverse * inverse * inverse
@@ -110,7 +118,9 @@ def second_order_fung(
     radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, alpha_fung2: Scalar
 ) -> Scalars:
     """The exponential law to second order: ``f = 1 + a x + a^2 x^2/2`` at ``x = I_1 - 3``."""
-    return integrate_over_gel(radius, velocity, rest_radius, G, _second_order_excess, alpha_fung2)
+    return integrate_over_gel(
+        radius, velocity, rest_radius, G, _second_order_excess, alpha_fung2
+    )
 
 
 def _exponential_excess(stretch: Scalar, alpha: Scalar) -> Scalar:
@@ -122,7 +132,9 @@ def exponential_fung(
     radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, alpha_fung: Scalar
 ) -> Scalars:
     """``W = G/(2 a) (exp(a (I_1 - 3)) - 1)`` (Fung 1967): ``f = exp(a x)``."""
-    return integrate_over_gel(radius, velocity, rest_radius, G, _exponential_excess, alpha_fung)
+    return integrate_over_gel(
+        radius, velocity, rest_radius, G, _exponential_excess, alpha_fung
+    )
 
 
 def _second_invariant_excess(stretch: Scalar, mooney: Scalar) -> Scalar:
@@ -135,7 +147,9 @@ def mooney_rivlin(
     """``W = G/2 ((1 - m) (I_1 - 3) + m (I_2 - 3))`` (Mooney 1940, Rivlin 1948): ``f = 1 + m (b^2 -
     1)``.
     """
-    return integrate_over_gel(radius, velocity, rest_radius, G, _second_invariant_excess, mooney)
+    return integrate_over_gel(
+        radius, velocity, rest_radius, G, _second_invariant_excess, mooney
+    )
 
 
 def _cubic_excess(stretch: Scalar, cubic: Scalar) -> Scalar:
@@ -196,7 +210,9 @@ def _ogden_excess(stretch: Scalar, ogden: Scalar) -> Scalar:
     still = real(strain) == 0.0
     spread = expm1(3.0 * where(still, 1.0, strain))
     # (b^a - b^-2a)/(a (b^3 - 1)), to first order of ln b where it is 0/0
-    force = exp(-2.0 * exponent * strain) * expm1(3.0 * exponent * strain) / (exponent * spread)
+    force = (
+        exp(-2.0 * exponent * strain) * expm1(3.0 * exponent * strain) / (exponent * spread)
+    )
     force = where(still, 1.0 - 0.5 * (exponent + 3.0) * strain, force)
     inverse = 1.0 / stretch
     return where(ogden == 0.0, 0.0, 2.0 * force / (inverse + inverse**4) - 1.0)

@@ -334,7 +334,9 @@ def marginal_from_dict(document: dict[str, Any]) -> Marginal:
     fields = {k: v for k, v in document.items() if v is not None}
     kind = fields.pop("kind", None)
     if kind not in MARGINALS:
-        raise InputDataError(f"Unknown prior kind {kind!r}; known are {', '.join(MARGINALS)}.")
+        raise InputDataError(
+            f"Unknown prior kind {kind!r}; known are {', '.join(MARGINALS)}."
+        )
     try:
         return MARGINALS[kind](**fields)
     except TypeError as error:

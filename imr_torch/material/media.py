@@ -51,7 +51,14 @@ def water_sound_speed(temperature: float) -> float:
     1496.7
     """
     t = temperature - ZERO_CELSIUS
-    coefficients = (1402.385, 5.038813, -5.799136e-2, 3.287156e-4, -1.398845e-6, 2.787860e-9)
+    coefficients = (
+        1402.385,
+        5.038813,
+        -5.799136e-2,
+        3.287156e-4,
+        -1.398845e-6,
+        2.787860e-9,
+    )
     return sum(c * t**i for i, c in enumerate(coefficients))
 
 

@@ -53,7 +53,9 @@ def maxwell(
     relaxation = _relaxation_rate(tau)
     strain = velocity / radius
     instant = where(on, 4.0 * (1.0 - retardation) * mu, 0.0)
-    change = where(on, -relaxation * (memory + instant * strain) - 3.0 * strain * memory, 0.0)
+    change = where(
+        on, -relaxation * (memory + instant * strain) - 3.0 * strain * memory, 0.0
+    )
     value = where(on, memory, 0.0) + instant * strain
     return value, change - instant * strain * strain, instant / radius, change
 
@@ -79,7 +81,9 @@ def _relaxing_solid(
     viscous = 4.0 * mu
     strain = velocity / radius
     change = where(
-        on, _relaxation_rate(time) * (elastic - memory - viscous * strain) - stiffness * strain, 0.0
+        on,
+        _relaxation_rate(time) * (elastic - memory - viscous * strain) - stiffness * strain,
+        0.0,
     )
     value = where(on, memory - elastic + viscous * strain, 0.0)
     rate = where(on, change - slope * strain - viscous * strain * strain, 0.0)
@@ -299,7 +303,9 @@ def ptt(
     )
 
 
-def _fade_arm(memory: Scalar, relaxation: Scalar, modulus: Scalar, strain: Scalar) -> Scalar:
+def _fade_arm(
+    memory: Scalar, relaxation: Scalar, modulus: Scalar, strain: Scalar
+) -> Scalar:
     """The rate of ``Z/R^3`` where ``Z' = -Z/De - 4 G R^2 U``, in which ``relaxation`` is ``1/De``."""
     return -relaxation * memory - (4.0 * modulus + 3.0 * memory) * strain
 
@@ -334,13 +340,25 @@ _SPACING = 0.75 * log_of(10.0)
 """Log of the ratio of the relaxation rates of neighbouring arms."""
 
 
-def _springpot_modulus(number: float, G: Scalar, order: Scalar, reference: Scalar) -> Scalar:
+def _springpot_modulus(
+    number: float, G: Scalar, order: Scalar, reference: Scalar
+) -> Scalar:
     """The modulus of an arm by its number: that of the rate ``U_c/Rmax`` is 0."""
-    return G * sin(pi * order) * (_SPACING / pi) * exp(order * (_SPACING * number - log(reference)))
+    return (
+        G
+        * sin(pi * order)
+        * (_SPACING / pi)
+        * exp(order * (_SPACING * number - log(reference)))
+    )
 
 
 def _fade_springpot(
-    memory: Scalar, number: float, G: Scalar, order: Scalar, reference: Scalar, strain: Scalar
+    memory: Scalar,
+    number: float,
+    G: Scalar,
+    order: Scalar,
+    reference: Scalar,
+    strain: Scalar,
 ) -> Scalar:
     modulus = _springpot_modulus(number, G, order, reference)
     return _fade_arm(memory, e ** (_SPACING * number), modulus, strain)
@@ -370,7 +388,9 @@ def springpot(
     """
     slow = _springpot_modulus(-3.0, G_frac, fractional, reference_rate)
     slow = slow / -expm1(-_SPACING * fractional)
-    fast = _springpot_modulus(5.0, G_frac, fractional, reference_rate) * e ** (-5.0 * _SPACING)
+    fast = _springpot_modulus(5.0, G_frac, fractional, reference_rate) * e ** (
+        -5.0 * _SPACING
+    )
     fast = fast / -expm1(_SPACING * (fractional - 1.0))
     value, rate, _ = linear_elastic(radius, velocity, rest_radius, slow)
     flow, flow_rate, inertia = newtonian(radius, velocity, rest_radius, fast)
@@ -398,12 +418,17 @@ def _springpot_start(
     grown = -4.0 / 3.0 * (1.0 - rest_radius**3)
     rates = [(k, e ** (_SPACING * k)) for k in range(-2, 5)]
     return tuple(
-        grown * _springpot_modulus(k, G_frac, fractional, reference_rate) * (1.0 - e**-rate) / rate
+        grown
+        * _springpot_modulus(k, G_frac, fractional, reference_rate)
+        * (1.0 - e**-rate)
+        / rate
         for k, rate in rates
     )
 
 
-def _springpot_fastest(G_frac: Scalar, fractional: Scalar, reference_rate: Scalar) -> Scalar:
+def _springpot_fastest(
+    G_frac: Scalar, fractional: Scalar, reference_rate: Scalar
+) -> Scalar:
     return where(G_frac > 0.0, e ** (4.0 * _SPACING), 0.0)
 
 
@@ -442,7 +467,11 @@ MEMORY = (
         shells=_SHELLS,
     ),
     StressTerm(
-        ptt, switch="tau_ptt", states=2 * len(_SHELLS), fastest=_fastest_rate, shells=_SHELLS
+        ptt,
+        switch="tau_ptt",
+        states=2 * len(_SHELLS),
+        fastest=_fastest_rate,
+        shells=_SHELLS,
     ),
 )
 """The terms of these laws."""

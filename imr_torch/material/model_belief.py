@@ -180,7 +180,9 @@ class ModelBelief:
     def parameters(self, controls: BatchControls) -> BatchParameters:
         """Shared parameter vectors at controls, SI; what is not of the model is neutral."""
         values = self.physical(controls)
-        packed = PARAMETERS.neutral(*values.shape[:-1], dtype=values.dtype).to(values.device)
+        packed = PARAMETERS.neutral(*values.shape[:-1], dtype=values.dtype).to(
+            values.device
+        )
         for name, value in self.known.items():
             packed[..., PARAMETERS.index([name])[0]] = value
         return packed.index_copy(
@@ -205,7 +207,9 @@ class ModelBelief:
         units); ``-inf`` outside.
         """
         bounds = torch.tensor(
-            [(m.lower, m.upper) for m in self.marginals], dtype=values.dtype, device=values.device
+            [(m.lower, m.upper) for m in self.marginals],
+            dtype=values.dtype,
+            device=values.device,
         )
         inside = ((values >= bounds[:, 0]) & (values <= bounds[:, 1])).all(-1)
         controls = self.to_controls(
@@ -228,7 +232,9 @@ class ModelBelief:
             torch.as_tensor(levels, dtype=self.mean.dtype, device=self.mean.device)
         )
         if self.cloud is None:
-            return self.physical(self.mean + torch.linalg.norm(self.chol, dim=-1) * scores[:, None])
+            return self.physical(
+                self.mean + torch.linalg.norm(self.chol, dim=-1) * scores[:, None]
+            )
         columns = [
             np.interp(scores.cpu(), Cloud.SCORES, column.cpu())
             for column in self.cloud.marginals.mT
@@ -240,7 +246,8 @@ class ModelBelief:
         nodes.
         """
         nodes, weights = (
-            torch.as_tensor(x).to(self.mean) for x in np.polynomial.hermite_e.hermegauss(count)
+            torch.as_tensor(x).to(self.mean)
+            for x in np.polynomial.hermite_e.hermegauss(count)
         )
         weights = weights / weights.sum()
         sd = torch.linalg.norm(self.chol, dim=-1)
@@ -264,7 +271,9 @@ class ModelBelief:
         """
         if self.model != other.model or self.marginals != other.marginals:
             return False
-        same = dict(self.known) == dict(other.known) and torch.allclose(self.mean, other.mean)
+        same = dict(self.known) == dict(other.known) and torch.allclose(
+            self.mean, other.mean
+        )
         return same and torch.allclose(self.chol, other.chol)
 
     def with_gaussian(self, mean: Controls, chol: ControlMatrix) -> "ModelBelief":
@@ -301,7 +310,9 @@ def add_parameters(part: ModelBelief, priors: Mapping[str, Marginal]) -> ModelBe
     mean[place] = part.mean
     chol[place[:, None], place] = part.chol
     key = "+".join((part.model, *priors))
-    return ModelBelief(key, tuple(marginals[name] for name in names), mean, chol, part.known)
+    return ModelBelief(
+        key, tuple(marginals[name] for name in names), mean, chol, part.known
+    )
 
 
 def intervals(belief: ModelBelief) -> dict[str, list[float]]:

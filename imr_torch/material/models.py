@@ -198,7 +198,9 @@ def material(key: str) -> Material:
         begin.known if isinstance(begin, Material) else (),
     )
     double = [
-        name for name in extra if PARAMETERS[name].name in model.names or extra.count(name) > 1
+        name
+        for name in extra
+        if PARAMETERS[name].name in model.names or extra.count(name) > 1
     ]
     if double:
         raise InputDataError(
@@ -220,7 +222,9 @@ def _check_parts(key: str, parts: list[Material | Part]) -> None:
             held |= {x.kind: x for x in sorted(known, key=lambda x: len(x.terms))}
             continue
         other = held.get(part.kind, part)
-        if other is not part and (other in parts or not set(other.terms) <= set(part.terms)):
+        if other is not part and (
+            other in parts or not set(other.terms) <= set(part.terms)
+        ):
             raise InputDataError(
                 f"Model {key!r} has two {part.kind} parts, {other.title} and {part.title}; name one "
                 "of them."

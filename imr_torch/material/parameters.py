@@ -23,7 +23,9 @@ from imr_torch.material.marginals import Marginal, make_marginal
 from imr_torch.types import BatchParameters, BroadcastValues
 from imr_torch.units import Surroundings
 
-Dimension = Literal["pressure", "viscosity", "time", "rate", "length", "drag", "ratio", "none"]
+Dimension = Literal[
+    "pressure", "viscosity", "time", "rate", "length", "drag", "ratio", "none"
+]
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,9 @@ class Parameter:
             low, middle, high = map(math.exp, (low, middle, high))
             return f"{middle:.4g} times that of the medium (90 %: {low:.4g} to {high:.4g})"
         low, middle, high = (self.display_scale * x for x in (low, middle, high))
-        return f"{middle:.4g} {self.shown_unit}".rstrip() + f" (90 %: {low:.4g} to {high:.4g})"
+        return (
+            f"{middle:.4g} {self.shown_unit}".rstrip() + f" (90 %: {low:.4g} to {high:.4g})"
+        )
 
 
 class ParameterVector:
@@ -162,7 +166,9 @@ class ParameterVector:
         order = self.names
         return [order.index(self[name].name) for name in names]
 
-    def neutral(self, *batch_shape: int, dtype: torch.dtype = torch.float64) -> BatchParameters:
+    def neutral(
+        self, *batch_shape: int, dtype: torch.dtype = torch.float64
+    ) -> BatchParameters:
         """A ``batch_shape x p`` tensor of neutral values: a bubble in an inviscid liquid without
         elasticity.
         """
@@ -179,7 +185,9 @@ class ParameterVector:
             name for name, acts in zip(self.names, moved.tolist(), strict=True) if acts
         )
 
-    def pack(self, values: Mapping[str, float | Real[Tensor, "*#batch"]]) -> BatchParameters:
+    def pack(
+        self, values: Mapping[str, float | Real[Tensor, "*#batch"]]
+    ) -> BatchParameters:
         """Put named values into a parameter tensor; what is not named is neutral.
 
         Args:
@@ -195,16 +203,21 @@ class ParameterVector:
                 parameter's bounds.
         """
         columns = {
-            name: torch.as_tensor(value, dtype=None if isinstance(value, Tensor) else torch.float64)
+            name: torch.as_tensor(
+                value, dtype=None if isinstance(value, Tensor) else torch.float64
+            )
             for name, value in values.items()
         }
         for name, column in columns.items():
             self.check(name, column)
-        like = [x for x in values.values() if isinstance(x, Tensor) and x.is_floating_point()]
+        like = [
+            x for x in values.values() if isinstance(x, Tensor) and x.is_floating_point()
+        ]
         like = next((x for x in like if x.ndim), torch.zeros((), dtype=torch.float64))
         shape = np.broadcast_shapes(*(column.shape for column in columns.values()))
         rows = [
-            columns.get(p.name, like.new_tensor(p.neutral)).to(like).expand(shape) for p in self
+            columns.get(p.name, like.new_tensor(p.neutral)).to(like).expand(shape)
+            for p in self
         ]
         return torch.stack(rows, -1)
 
@@ -296,6 +309,8 @@ def dimensionless(
         "drag": max_radius**2 / (pressure * time),
     }
     return {
-        entry.name: column * factor[entry.dimension] if entry.dimension in factor else column
+        entry.name: column * factor[entry.dimension]
+        if entry.dimension in factor
+        else column
         for entry, column in zip(PARAMETERS, parameters.unbind(-1), strict=True)
     }

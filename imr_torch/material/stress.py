@@ -141,7 +141,10 @@ class StressTerm:
     def __post_init__(self) -> None:
         arguments = tuple(inspect.signature(self.law).parameters)
         first = 5 + self.states // len(self.shells) if self.shells else 3 + self.states
-        if arguments[:3] != ("radius", "velocity", "rest_radius") or len(arguments) <= first:
+        if (
+            arguments[:3] != ("radius", "velocity", "rest_radius")
+            or len(arguments) <= first
+        ):
             raise InputDataError(
                 f"A stress law takes radius, velocity, rest_radius, its {self.states} memory "
                 "states and the parameters that "
@@ -198,7 +201,9 @@ class StressTerm:
             assert memory is not None
             rule = radius.new_tensor(self.shells).T.reshape(2, -1, *[1] * (memory.ndim - 1))
             states = (*rule, *memory.unflatten(0, (len(self.shells), -1)).unbind(1))
-        parts = self.law(radius, velocity, rest_radius, *states, *self._read_parameters(theta))
+        parts = self.law(
+            radius, velocity, rest_radius, *states, *self._read_parameters(theta)
+        )
         tensors = (x if isinstance(x, Tensor) else radius.new_tensor(x) for x in parts)
         parts = torch.broadcast_tensors(*tensors)
         if self.shells:
@@ -271,10 +276,14 @@ def derivatives(
         shift = step * torch.eye(count, dtype=point[0].dtype, device=point[0].device)
         rows = shift.reshape(count, count, *[1] * len(shape)).expand(count, count, *shape)
         moved = [
-            torch.complex(x.expand(count, *shape), row) for x, row in zip(point, rows, strict=True)
+            torch.complex(x.expand(count, *shape), row)
+            for x, row in zip(point, rows, strict=True)
         ]
         return function(*moved).imag.div(step).movedim(-1 - len(shape), 0)
     directions = [
-        tuple(torch.full_like(x, float(i == j)) for j, x in enumerate(point)) for i in range(count)
+        tuple(torch.full_like(x, float(i == j)) for j, x in enumerate(point))
+        for i in range(count)
     ]
-    return torch.stack([torch.func.jvp(function, point, direction)[1] for direction in directions])
+    return torch.stack(
+        [torch.func.jvp(function, point, direction)[1] for direction in directions]
+    )

@@ -66,7 +66,11 @@ def _lose_viscosity(
         mean = mean + weight * cosh(shear) * lost(sinh(shear), *parameters)
     mean = where(still, 0.0, span / size * mean)
     at_wall = where(still, 0.0, lost(size, *parameters))
-    return factor * strain * mean, -factor * at_wall * strain * strain, factor * at_wall / radius
+    return (
+        factor * strain * mean,
+        -factor * at_wall * strain * strain,
+        factor * at_wall / radius,
+    )
 
 
 def _carreau_loss(shear: Scalar, thinning: Scalar) -> Scalar:
@@ -107,7 +111,13 @@ def carreau_yasuda(
     is Carreau's, ``p`` the viscosity at the highest rates over that at rest.
     """
     return _lose_viscosity(
-        radius, velocity, mu * (1.0 - plateau), shear_time, _yasuda_loss, thinning_yasuda, yasuda
+        radius,
+        velocity,
+        mu * (1.0 - plateau),
+        shear_time,
+        _yasuda_loss,
+        thinning_yasuda,
+        yasuda,
     )
 
 
@@ -143,7 +153,9 @@ def powell_eyring(
     plateau: Scalar,
 ) -> Scalars:
     """``mu(g)/mu = p + (1 - p) asinh(t g)/(t g)`` (Powell & Eyring 1944)."""
-    return _lose_viscosity(radius, velocity, mu * (1.0 - plateau), eyring_time, _eyring_loss)
+    return _lose_viscosity(
+        radius, velocity, mu * (1.0 - plateau), eyring_time, _eyring_loss
+    )
 
 
 def power_law(
@@ -164,7 +176,9 @@ def power_law(
     speed = velocity * velocity + SMOOTH * SMOOTH
     wall = WALL_SHEAR * sqrt(speed) / radius / reference_rate
     mean = power(wall, -power_thinning) / (1.0 - power_thinning)
-    by_velocity = factor / radius * (1.0 - mean * (1.0 - power_thinning * velocity**2 / speed))
+    by_velocity = (
+        factor / radius * (1.0 - mean * (1.0 - power_thinning * velocity**2 / speed))
+    )
     strain = velocity / radius
     by_radius = -factor / radius * strain * (1.0 - mean * (1.0 - power_thinning))
     return factor * strain * (1.0 - mean), by_radius * velocity, by_velocity

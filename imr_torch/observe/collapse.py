@@ -81,7 +81,14 @@ class CollapseShot:
         for name, value, low, high, error, sd in (
             ("rmax_m", top, 1e-6, 1e-2, "max_radius_sd_m", self.max_radius_sd_m),
             ("stretch", self.stretch, 1.2, 100.0, "stretch_sd", self.stretch_sd),
-            ("collapse_time_s", time, 1e-8, 1e-2, "collapse_time_sd_s", self.collapse_time_sd_s),
+            (
+                "collapse_time_s",
+                time,
+                1e-8,
+                1e-2,
+                "collapse_time_sd_s",
+                self.collapse_time_sd_s,
+            ),
         ):
             if not low <= value <= high:
                 raise InputDataError(
@@ -104,7 +111,8 @@ class CollapseShot:
         scale = surroundings.time_scale(self.max_radius_m)
         nuisance = Nuisance(
             max_radius=(self.max_radius_sd_m or FLOOR.max_radius * top) / top,
-            rest_radius=(self.stretch_sd or FLOOR.rest_radius * self.stretch) / self.stretch,
+            rest_radius=(self.stretch_sd or FLOOR.rest_radius * self.stretch)
+            / self.stretch,
         )
         design = (surroundings.weber(top), 1.0 / self.stretch)
         time = self.collapse_time_s / scale
@@ -221,7 +229,9 @@ def load_collapse_times(*paths: str | Path) -> tuple[CollapseShot, ...]:
     8.0
     """
     if not paths:
-        raise InputDataError("load_collapse_times was given no file; name one table or more.")
+        raise InputDataError(
+            "load_collapse_times was given no file; name one table or more."
+        )
     shots: list[CollapseShot] = []
     for path in map(Path, paths):
         if not is_shot_file(path):
@@ -271,7 +281,9 @@ def _shots_of_table(path: Path, stated: Statement | None) -> list[CollapseShot]:
                 "it out."
             )
     numbers = {
-        name: table.vectors(name)[0].tolist() for name in table.values if name != "experiment_id"
+        name: table.vectors(name)[0].tolist()
+        for name in table.values
+        if name != "experiment_id"
     }
     shots = []
     for i, name in enumerate(table.texts["experiment_id"]):
@@ -285,11 +297,15 @@ def _shots_of_table(path: Path, stated: Statement | None) -> list[CollapseShot]:
             if any(table.texts.get(column, ())[i : i + 1])
         }
         values = (numbers[column][i] for column in SHOT_COLUMNS[1:])
-        shots.append(CollapseShot(name, *values, **errors, source=str(table.path), stated=stated))
+        shots.append(
+            CollapseShot(name, *values, **errors, source=str(table.path), stated=stated)
+        )
     return shots
 
 
-def serial_correlation(values: Float[Tensor, "shots"], order: Float[Tensor, "shots"]) -> float:
+def serial_correlation(
+    values: Float[Tensor, "shots"], order: Float[Tensor, "shots"]
+) -> float:
     """Correlation of each value with the next one in an order, times the root of their number:
     standard normal if independent.
 

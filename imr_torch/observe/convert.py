@@ -83,8 +83,12 @@ def to_experiment(
         below = times[~kept & (trace.radius_m < growth * top)]
         kept = times > (below[-1] if len(below) else -torch.inf)
     nuisance = Nuisance(
-        max_radius=min(math.hypot(landmarks.max_radius_sd_m / top, FLOOR.max_radius), widest),
-        time_zero=min(math.hypot(landmarks.time_of_max_sd_s / scale, FLOOR.time_zero), widest),
+        max_radius=min(
+            math.hypot(landmarks.max_radius_sd_m / top, FLOOR.max_radius), widest
+        ),
+        time_zero=min(
+            math.hypot(landmarks.time_of_max_sd_s / scale, FLOOR.time_zero), widest
+        ),
         rest_radius=min(math.hypot(sd / value, FLOOR.rest_radius), widest),
     )
     design = (surroundings.weber(top), value)
@@ -176,7 +180,9 @@ class FrameUse:
 
     def lines(self) -> list[str]:
         """The frames in words: how many were fitted, then every stretch that was not."""
-        first = f"{self.experiment_id}: {sum(self.fitted)} of {len(self.fitted)} frames fitted"
+        first = (
+            f"{self.experiment_id}: {sum(self.fitted)} of {len(self.fitted)} frames fitted"
+        )
         return [first, *(f"  {stretch}" for stretch in self.unused)]
 
     def to_dict(self) -> dict[str, Any]:
@@ -206,7 +212,9 @@ def find_frame_use(
         collapses: collapses in the fitted window.
     """
     times = landmarks.dimensionless_time(trace.time_s, surroundings)
-    fitted = torch.isclose(times[:, None], experiment.times, rtol=0.0, atol=1e-9).any(1).tolist()
+    fitted = (
+        torch.isclose(times[:, None], experiment.times, rtol=0.0, atol=1e-9).any(1).tolist()
+    )
     first = min(0.0, float(experiment.times[0]))
     last = float(experiment.times[-1])
 
@@ -224,11 +232,16 @@ def find_frame_use(
         frames = list(group)
         start, end = (float(trace.time_s[frame]) for frame in (frames[0], frames[-1]))
         unused += [Unused(frames[0], frames[-1], start, end, why)] if why else []
-    return FrameUse(trace.experiment_id, tuple(times.tolist()), tuple(fitted), tuple(unused))
+    return FrameUse(
+        trace.experiment_id, tuple(times.tolist()), tuple(fitted), tuple(unused)
+    )
 
 
 def load_set(
-    path: str | Path, *, nuisance: Nuisance = FLOOR, surroundings: Surroundings | None = None
+    path: str | Path,
+    *,
+    nuisance: Nuisance = FLOOR,
+    surroundings: Surroundings | None = None,
 ) -> list[Experiment]:
     """Experiments of a set, one a design.
 
@@ -262,7 +275,10 @@ def load_set(
             "at least."
         )
     for name, dimensions in _SHAPES.items():
-        if arrays[name].ndim != dimensions or arrays[name].shape[0] != arrays["we"].shape[0]:
+        if (
+            arrays[name].ndim != dimensions
+            or arrays[name].shape[0] != arrays["we"].shape[0]
+        ):
             raise InputDataError(
                 f"{path}: {name} has shape {arrays[name].shape}; expected {dimensions} dimensions, "
                 f"the first of {arrays['we'].shape[0]} designs."

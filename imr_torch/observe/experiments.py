@@ -166,7 +166,11 @@ class Film:
             )
         count = len(self.times)
         shapes = [tuple(x.shape) for x in (self.designs, self.times, self.nuisance_sds)]
-        if self.times.ndim != 2 or shapes[0] != (count, 2) or shapes[2] != (count, len(NUISANCES)):
+        if (
+            self.times.ndim != 2
+            or shapes[0] != (count, 2)
+            or shapes[2] != (count, len(NUISANCES))
+        ):
             raise ShapeError(
                 f"Film: expected designs E x 2, times E x T, nuisance_sds E x 3; got {shapes[0]}, "
                 f"{shapes[1]} and {shapes[2]}."
@@ -262,11 +266,14 @@ class ExperimentBatch:
         made with that of all that they leave.
         """
         shots = tuple(
-            replace(e, weight=1.0) if isinstance(e, Experiment) else e for e in self.experiments
+            replace(e, weight=1.0) if isinstance(e, Experiment) else e
+            for e in self.experiments
         )
         laws = self.noise_laws and self.noise_laws.frames
         noise = laws.laws[int(laws.weights.argmax())] if laws else self.noise.of_frames
-        return replace(self, experiments=shots, noise=noise, noise_laws=laws or self.noise_laws)
+        return replace(
+            self, experiments=shots, noise=noise, noise_laws=laws or self.noise_laws
+        )
 
     def log_noise_ratios(
         self,
@@ -285,7 +292,8 @@ class ExperimentBatch:
         rows = torch.multinomial(laws.weights, count, replacement=True, generator=generator)
         scales = laws.log_scale_sds[rows] * randn(count, generator=generator)
         each = [
-            law.sd(prediction, self.times, self.bends).log() for law in (self.noise, *laws.laws)
+            law.sd(prediction, self.times, self.bends).log()
+            for law in (self.noise, *laws.laws)
         ]
         logs = (torch.stack(each[1:]) - each[0])[rows] + scales[:, None, None]
         sds = tensor([e.noise_factor_sd for e in self.experiments])
@@ -296,7 +304,9 @@ class ExperimentBatch:
         """5, 50 and 95 % quantiles of the noise of the median single frame at a prediction, R*."""
         frames = self.of_frames
         level = frames.sd(prediction)[self.mask].median()
-        logs = frames.log_noise_ratios(prediction, 1000, generator=torch.Generator().manual_seed(0))
+        logs = frames.log_noise_ratios(
+            prediction, 1000, generator=torch.Generator().manual_seed(0)
+        )
         means = logs[:, self.mask].mean(1)
         return [float(level * means.quantile(q).exp()) for q in (0.05, 0.5, 0.95)]
 
@@ -321,7 +331,9 @@ class ExperimentBatch:
     @cached_property
     def bends(self) -> ExperimentFrames:
         """How much the measured curves bend at each frame; 0 in the padding."""
-        return pad_sequence([frame_bends(e.mean) for e in self.experiments], batch_first=True)
+        return pad_sequence(
+            [frame_bends(e.mean) for e in self.experiments], batch_first=True
+        )
 
     @cached_property
     def counts(self) -> ExperimentFrames:
@@ -344,7 +356,9 @@ class ExperimentBatch:
         deviations = [(e.radius - e.mean).nan_to_num() for e in self.experiments]
         squares = [x.square().sum(0) for x in deviations]
         products = [(x * previous(x)).sum(0) for x in deviations]
-        return pad_sequence(squares, batch_first=True), pad_sequence(products, batch_first=True)
+        return pad_sequence(squares, batch_first=True), pad_sequence(
+            products, batch_first=True
+        )
 
     @cached_property
     def nuisance_sds(self) -> Float[Tensor, "experiments nuisances"]:
@@ -353,7 +367,9 @@ class ExperimentBatch:
         Columns as in ``NUISANCES``, then in ``between``.
         """
         own = tensor(list(self.between.values())).expand(len(self.experiments), -1)
-        return torch.cat((torch.stack([e.nuisance.sds() for e in self.experiments]), own), 1)
+        return torch.cat(
+            (torch.stack([e.nuisance.sds() for e in self.experiments]), own), 1
+        )
 
     def sd(self, prediction: BatchFrames) -> BatchFrames:
         """Noise of one repeat at a prediction ``... x E x T``; 1 in the padding."""
@@ -403,7 +419,9 @@ class ExperimentBatch:
         counts = torch.where(self.mask, self.counts, 0.0)
         square = counts * misfit.square()
         normaliser = counts * ((sd / own).log() + 0.5 * math.log(2.0 * math.pi))
-        if max(e.repeats for e in self.experiments) > 1:  # and their deviations from the mean
+        if (
+            max(e.repeats for e in self.experiments) > 1
+        ):  # and their deviations from the mean
             squares, products = self._repeat_scatter
             last = before * previous(weight)
             weight = own * weight
@@ -421,7 +439,9 @@ class ExperimentBatch:
         """Observations of each experiment, all repeats and frames, as often as it counts."""
         return self.weights * torch.where(self.mask, self.counts, 0.0).sum(-1)
 
-    def log_likelihood(self, prediction: BatchFrames) -> Float[Tensor, "*batch experiments"]:
+    def log_likelihood(
+        self, prediction: BatchFrames
+    ) -> Float[Tensor, "*batch experiments"]:
         """Log density of all repeats and frames of each experiment; ``-inf`` for NaN."""
         square, normaliser = self.terms(prediction, self.sd(prediction), self.innovations)
         value = -0.5 * square - normaliser

@@ -222,7 +222,9 @@ def _least_reversals(curve: Curve) -> np.ndarray:
     starts = (np.arange(len(radius)) - count // 2).clip(0, max(len(radius) - count, 0))
     local = np.full(len(radius), curve.noise)
     if len(radius) >= count:
-        local = np.array([frame_roughness(radius[start : start + count]) for start in starts])
+        local = np.array(
+            [frame_roughness(radius[start : start + count]) for start in starts]
+        )
     return np.maximum(RULES.reversal * curve.noise, RULES.local_reversal * local)
 
 

@@ -74,7 +74,9 @@ class SimulatedLaboratory:
             ones(1, len(self.times)),
             self.nuisance,
         )
-        clean = predict(self.simulator, self.truth, ExperimentBatch((blank,)), shifts[None])[0]
+        clean = predict(
+            self.simulator, self.truth, ExperimentBatch((blank,)), shifts[None]
+        )[0]
         if not bool(torch.isfinite(clean).all()):
             solution = self.simulator(self.truth, true, self.times)
             raise ConvergenceError(

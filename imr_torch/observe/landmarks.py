@@ -150,7 +150,9 @@ def _found_peak(curve: Curve) -> tuple[Extreme, str]:
     if (from_start := _fit_start(curve)) is not None:
         return from_start, "one-sided fit"
     drop = top - float(radius[k - 1 if k == len(radius) - 1 else k + 1])
-    missed = found.value - top if found is not None else min(drop, RULES.ringing_floor * top)
+    missed = (
+        found.value - top if found is not None else min(drop, RULES.ringing_floor * top)
+    )
     sd = max(curve.noise, RULES.edge_sd * top, missed)
     return Extreme(at, top, curve.spacing, sd), "edge"
 
@@ -178,7 +180,9 @@ def _fit_start(curve: Curve) -> Extreme | None:
         guess = (1.0, (1.0 - level) / x[-1] ** 2, 0.0)
         error = np.full(stop, curve.noise / top)
         try:
-            best, covariance = curve_fit(_near_maximum, x, y, guess, error, absolute_sigma=True)
+            best, covariance = curve_fit(
+                _near_maximum, x, y, guess, error, absolute_sigma=True
+            )
         except RuntimeError:  # no minimum was found
             return None
         fits.append((best, np.sqrt(covariance.diagonal())))
@@ -210,7 +214,9 @@ def _fit_peak(curve: Curve) -> Extreme | None:
     """
     radius = curve.radius
     k = curve.k
-    wide, narrow = (grow_window(k, radius >= level * curve.top) for level in RULES.peak_windows)
+    wide, narrow = (
+        grow_window(k, radius >= level * curve.top) for level in RULES.peak_windows
+    )
     enough = wide.stop - wide.start >= RULES.quartic_from
     many = enough and min(k - wide.start, wide.stop - 1 - k) >= 3
     found = fit_extreme(curve, wide, 4 if many else 2, +1)
@@ -250,13 +256,17 @@ def _find_rest(
     turns = sorted([float(time[curve.k]), *(x.time for x in (*minima, *maxima))])
     # A quiet tail shorter than half a cycle may be the flat top of a rebound.
     quiet = float(time[-1]) - min(float(time[-count:][0]), turns[-1])
-    came_to_rest = came_down and (len(turns) == 1 or quiet >= float(np.median(np.diff(turns))))
+    came_to_rest = came_down and (
+        len(turns) == 1 or quiet >= float(np.median(np.diff(turns)))
+    )
     drift = 0.5 * abs(float(tail[: count // 2].mean() - tail[count // 2 :].mean()))
     if came_to_rest and scatter < RULES.settled_below * mean:
         return mean, math.hypot(scatter, drift), "settled tail"
     stated = given.rest_radius_m
     stated_sd = given.rest_radius_sd_m or 0.0
-    if stated is not None and given.rest_settled is not False:  # better than what ringing shows
+    if (
+        stated is not None and given.rest_settled is not False
+    ):  # better than what ringing shows
         sure = given.rest_settled or stated_sd
         floor = RULES.stated_floor if sure else RULES.ringing_floor
         return stated, max(stated_sd, floor * stated), "as given"

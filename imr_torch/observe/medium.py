@@ -76,7 +76,8 @@ class GelMedium:
         loose = {
             name: sd
             for name, sd in UNSTATED_SDS.items()
-            if name in self.assumed and getattr(self.surroundings, name) == getattr(usual, name)
+            if name in self.assumed
+            and getattr(self.surroundings, name) == getattr(usual, name)
         }
         return replace(self, sds=loose | dict(self.sds))
 
@@ -85,7 +86,9 @@ class GelMedium:
         if simulator.conditions.surroundings == self.surroundings:
             return simulator
         one: Any = simulator
-        return replace(one, conditions=replace(one.conditions, surroundings=self.surroundings))
+        return replace(
+            one, conditions=replace(one.conditions, surroundings=self.surroundings)
+        )
 
     def believed(self, prior: Belief) -> Belief:
         """The belief with the uncertain values of this medium as parameters of every model that has
@@ -99,7 +102,11 @@ class GelMedium:
         """The same for the belief of one model."""
         return add_parameters(
             part,
-            {name: prior for name, prior in self.priors.items() if name not in part.material.names},
+            {
+                name: prior
+                for name, prior in self.priors.items()
+                if name not in part.material.names
+            },
         )
 
     @property
@@ -108,7 +115,9 @@ class GelMedium:
         is.
         """
         values = [
-            f"{label(name)} ({self.value(name)})" for name in self.sds if name in self.assumed
+            f"{label(name)} ({self.value(name)})"
+            for name in self.sds
+            if name in self.assumed
         ]
         if not values:
             return ""
@@ -121,7 +130,9 @@ class GelMedium:
     def value(self, name: str) -> str:
         """A field's value with its standard deviation and unit, as text."""
         sd = f" +- {self.sds[name]:.2g}" if name in self.sds else ""
-        return f"{getattr(self.surroundings, name):.4g}{sd} {PROPERTIES[_NAME_OF[name]].unit}"
+        return (
+            f"{getattr(self.surroundings, name):.4g}{sd} {PROPERTIES[_NAME_OF[name]].unit}"
+        )
 
     def learnt(
         self, posterior: ModelBelief, *, contradicts: float = 2.5, least: float = 0.1
@@ -169,7 +180,9 @@ class GelMedium:
         for name in (*self.sources, *(name for name in _FIELDS if name in self.assumed)):
             source = self.sources.get(name, "assumed")
             said.setdefault(source, []).append(f"{label(name)} {self.value(name)}")
-        text = "; ".join(f"{', '.join(values)} ({source})" for source, values in said.items())
+        text = "; ".join(
+            f"{', '.join(values)} ({source})" for source, values in said.items()
+        )
         return "\n".join([f"Medium: {text}.", *(f"  {note}" for note in self.notes)])
 
     def to_dict(self) -> dict[str, dict[str, Any]]:

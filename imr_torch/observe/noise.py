@@ -17,7 +17,13 @@ from torch import Tensor
 from imr_torch.errors import check_fields, is_positive
 from imr_torch.float64 import arange
 from imr_torch.html import render
-from imr_torch.types import BroadcastValues, ExperimentFrames, FrameMask, Frames, FrameValues
+from imr_torch.types import (
+    BroadcastValues,
+    ExperimentFrames,
+    FrameMask,
+    Frames,
+    FrameValues,
+)
 
 FEWEST_RESIDUALS = 10
 """Degrees of freedom that residuals must have for the noise to be estimated from them."""
@@ -83,7 +89,9 @@ class Noise:
 
     def enlarged(self, factor: float) -> "Noise":
         """The law enlarged by a factor for what a model misses: all but its part next to collapses."""
-        return replace(self, scale=self.scale * factor, kink=self.kink / factor, widened=factor)
+        return replace(
+            self, scale=self.scale * factor, kink=self.kink / factor, widened=factor
+        )
 
     def sd(
         self,
@@ -130,7 +138,9 @@ class Noise:
             return noise
         own, before = self.innovations(times, mask)
         decorrelate = torch.diag_embed(own) - torch.diag_embed(before[:, 1:], -1)
-        return torch.linalg.solve_triangular(decorrelate, noise[..., None], upper=False)[..., 0]
+        return torch.linalg.solve_triangular(decorrelate, noise[..., None], upper=False)[
+            ..., 0
+        ]
 
     def draw(
         self,
@@ -141,8 +151,12 @@ class Noise:
         generator: torch.Generator,
     ) -> Float[Tensor, "repeats frames"]:
         """Noisy curves of one experiment: ``repeats x n_t`` from a true curve ``n_t``."""
-        noise = torch.randn(repeats, times.shape[0], generator=generator, dtype=radius.dtype)
-        noise = self.correlated(noise[:, None], times[None], torch.isfinite(times[None]))[:, 0]
+        noise = torch.randn(
+            repeats, times.shape[0], generator=generator, dtype=radius.dtype
+        )
+        noise = self.correlated(noise[:, None], times[None], torch.isfinite(times[None]))[
+            :, 0
+        ]
         return radius + self.sd(radius, times) * noise
 
 

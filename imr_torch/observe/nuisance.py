@@ -194,7 +194,8 @@ class Distortion:
         films = tuple(
             (effect.film, effect.names)
             for effect in LIBRARY.values()
-            if effect.film is not None and parameters[..., PARAMETERS.index(effect.names[:1])].any()
+            if effect.film is not None
+            and parameters[..., PARAMETERS.index(effect.names[:1])].any()
         )
         if not columns.any() and not exposures.any() and not films:
             return None
@@ -209,8 +210,12 @@ class Distortion:
         )
 
     def shifts_of(
-        self, designs: Float[Tensor, "experiments 2"], max_radius: Float[Tensor, "experiments"]
-    ) -> tuple[Float[Tensor, "*batch #experiments 3"], Float[Tensor, "*batch #experiments 1"]]:
+        self,
+        designs: Float[Tensor, "experiments 2"],
+        max_radius: Float[Tensor, "experiments"],
+    ) -> tuple[
+        Float[Tensor, "*batch #experiments 3"], Float[Tensor, "*batch #experiments 1"]
+    ]:
         """Errors of the measured designs and times, and what the edge's error adds to the radius as
         filmed.
 
@@ -256,7 +261,9 @@ class Distortion:
             max_radius: measured, m.
             surroundings: of the bubbles.
         """
-        radius = self._average_exposure(times, simulate) if self.blur.any() else simulate(times)
+        radius = (
+            self._average_exposure(times, simulate) if self.blur.any() else simulate(times)
+        )
         if self.films:
             theta = dimensionless(self.parameters, max_radius, surroundings)
             for law, names in self.films:
@@ -282,10 +289,14 @@ class Distortion:
         rising, order = every.sort(-1)
         place = order.argsort(-1)
         radius = simulate(rising)
-        radius = radius.gather(-1, place.expand(radius.shape)).unflatten(-1, (-1, 1 + len(_NODES)))
+        radius = radius.gather(-1, place.expand(radius.shape)).unflatten(
+            -1, (-1, 1 + len(_NODES))
+        )
         mean = 0.5 * (radius[..., 1:] * _WEIGHTS.to(times)).sum(-1)
         return torch.where(
-            early[..., None], torch.nan, torch.where(instant[..., None], radius[..., 0], mean)
+            early[..., None],
+            torch.nan,
+            torch.where(instant[..., None], radius[..., 0], mean),
         )
 
 

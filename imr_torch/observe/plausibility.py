@@ -115,7 +115,9 @@ def check_experiment(
     at = float(times[int(radius.argmax())])
     first = collapse_time(times, radius, 1) if first is None else first
     last = float(times[-1])
-    if at > max(LIMITS.latest_maximum, LIMITS.frames_to_maximum * float(times.diff()[:1].sum())):
+    if at > max(
+        LIMITS.latest_maximum, LIMITS.frames_to_maximum * float(times.diff()[:1].sum())
+    ):
         raise InputDataError(
             f"{where}: the largest frame is at t* = {at:.2f}; expected time zero at the maximum "
             f"radius, within {LIMITS.latest_maximum}.{advice}"
@@ -128,7 +130,11 @@ def check_experiment(
     if first < math.inf:
         cavity = f"that of an empty cavity in water at {RAYLEIGH_TIME}, in a gel of 70 kPa at 0.55"
         found.append(
-            (LIMITS.first_collapse, first, f"the first collapse is at t* = {{:.3g}} ({cavity})")
+            (
+                LIMITS.first_collapse,
+                first,
+                f"the first collapse is at t* = {{:.3g}} ({cavity})",
+            )
         )
     cautions = []
     for limits, value, text in found:
@@ -138,13 +144,17 @@ def check_experiment(
                 f"{what}; possible is {limits.possible[0]:g} to {limits.possible[1]:g}.{advice}"
             )
         if not limits.usual[0] <= value <= limits.usual[1]:
-            cautions.append(f"{what}; usual is {limits.usual[0]:g} to {limits.usual[1]:g}.{advice}")
+            cautions.append(
+                f"{what}; usual is {limits.usual[0]:g} to {limits.usual[1]:g}.{advice}"
+            )
     if first == math.inf and not LIMITS.duration[0] <= last <= LIMITS.duration[1]:
         text = f"{where}: the record lasts t* = {last:.3g} and holds no collapse."
         if last < LIMITS.duration[0]:
             raise InputDataError(f"{text} Expected at least {LIMITS.duration[0]}.{advice}")
         cautions.append(f"{text} Only overdamped bubbles do not rebound.{advice}")
-    scatter = frame_roughness(radius.numpy()) / max(float(radius.amax() - radius.amin()), 1e-300)
+    scatter = frame_roughness(radius.numpy()) / max(
+        float(radius.amax() - radius.amin()), 1e-300
+    )
     if len(radius) >= LIMITS.fewest_frames and scatter > LIMITS.scatter.usual[1]:
         what = (
             f"{where}: neighbouring frames scatter by {100.0 * scatter:.0f} % of the range of all "
@@ -152,7 +162,9 @@ def check_experiment(
         )
         if scatter > LIMITS.scatter.possible[1]:
             raise InputDataError(f"{what}; check which column holds the radii.")
-        cautions.append(f"{what}; usual is less than {100.0 * LIMITS.scatter.usual[1]:.0f} %.")
+        cautions.append(
+            f"{what}; usual is less than {100.0 * LIMITS.scatter.usual[1]:.0f} %."
+        )
     return tuple(cautions)
 
 
@@ -204,7 +216,10 @@ def _check_stated(
     overridden = given.override is not None and given.override.time_of_max_s is not None
     stated = None if overridden else given.time_of_max_s
     scale = float(surroundings.time_scale(top))
-    if stated is not None and abs(stated - landmarks.time_of_max_s) > LIMITS.latest_maximum * scale:
+    if (
+        stated is not None
+        and abs(stated - landmarks.time_of_max_s) > LIMITS.latest_maximum * scale
+    ):
         raise InputDataError(
             f"{where}: t_Rmax_s is {1e6 * stated:.4g} us, and the maximum radius of the frames is "
             f"at {1e6 * landmarks.time_of_max_s:.4g} us. Give it in seconds on the time axis of "

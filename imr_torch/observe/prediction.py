@@ -81,21 +81,27 @@ def predict(
         simulator = WithGrowth(simulator)
     if isinstance(film, Film):
         instant = designs.new_zeros(1)
-        return _predict_radii(simulator, parameters, designs, times, shifts, bundled, instant)
+        return _predict_radii(
+            simulator, parameters, designs, times, shifts, bundled, instant
+        )
     parts = []
     order = _group_alike(film)
     for rows in order:
         gels = parameters
         own = None if shifts is None else shifts[..., rows, : len(NUISANCES)]
         if film.between and shifts is not None:
-            gels = with_own(parameters, film.between, shifts[..., rows[0], len(NUISANCES) :])
+            gels = with_own(
+                parameters, film.between, shifts[..., rows[0], len(NUISANCES) :]
+            )
         common = (simulator, gels, designs[rows])
         if bool(film.collapse[rows[0]]):
             near = film.mean[rows, 0]
             found = predict_collapse(*common, near, own, bundled=bundled, kept=kept)
             parts.append(found[..., None].expand(*found.shape, times.shape[-1]))
         else:
-            parts.append(_predict_radii(*common, times[rows], own, bundled, film.exposures[rows]))
+            parts.append(
+                _predict_radii(*common, times[rows], own, bundled, film.exposures[rows])
+            )
     return torch.cat(parts, -2)[..., torch.cat(order).argsort(), :]
 
 
@@ -120,13 +126,17 @@ def _predict_radii(
     truth = _find_truth(simulator, parameters, designs, times, shifts, exposures)
 
     def simulate_radius(times: Tensor) -> Tensor:
-        return _simulate_bubbles(simulator, parameters, truth.designs, times, bundled=bundled)[0]
+        return _simulate_bubbles(
+            simulator, parameters, truth.designs, times, bundled=bundled
+        )[0]
 
     if truth.distortion is None:
         return simulate_radius(truth.times) * truth.scale
     surroundings = simulator.conditions.surroundings
     max_radius = surroundings.max_radius(designs[:, 0])
-    radius = truth.distortion.film_radius(truth.times, simulate_radius, max_radius, surroundings)
+    radius = truth.distortion.film_radius(
+        truth.times, simulate_radius, max_radius, surroundings
+    )
     return radius * truth.scale + truth.beyond
 
 
@@ -153,7 +163,9 @@ class _Truth:
 
     def measured_times(self, times: Tensor) -> Tensor:
         """Inverse of the step from measured to true times."""
-        slow = times if self.distortion is None else times / torch.exp(self.distortion.clock)
+        slow = (
+            times if self.distortion is None else times / torch.exp(self.distortion.clock)
+        )
         return slow * self.scale[..., 0] - self.offset[..., 0]
 
 
@@ -215,7 +227,9 @@ def _simulate_bubbles(
         solution = simulator(parameters[..., None, :], designs, times)
         return solution.radius, solution.velocity
     # experiments are bundles of their own, so members move to the last batch dimension
-    inputs = (x if x.ndim > 2 else x[None] for x in (parameters[..., None, :], designs, times))
+    inputs = (
+        x if x.ndim > 2 else x[None] for x in (parameters[..., None, :], designs, times)
+    )
     solution = simulator.bundle(*(x.transpose(-3, -2) for x in inputs))
     return solution.radius.transpose(-3, -2), solution.velocity.transpose(-3, -2)
 
@@ -287,7 +301,9 @@ def predict_collapse(
     """
     instant = measured.new_zeros(1)
     truth = _find_truth(simulator, parameters, designs, measured[:, None], shifts, instant)
-    simulate = partial(_simulate_collapses, simulator, bundled=bundled, precise=kept is None)
+    simulate = partial(
+        _simulate_collapses, simulator, bundled=bundled, precise=kept is None
+    )
     if truth.designs.shape[-2] > math.prod(nodes):
         found = _interpolate_collapses(
             simulate, parameters, truth.designs, designs, measured, bundled, kept, nodes
@@ -324,7 +340,9 @@ def _collapse_times_looked_at() -> tuple[Tensor, Tensor, Tensor]:
     By the first two the minimum is found to 3e-5; the last are 3e-7 apart at their middle, where the
     time is as smooth in the gel as the solver's output.
     """
-    usual = np.append(np.linspace(0.0, 0.7, 40, endpoint=False), np.linspace(0.7, 1.15, 901)[:-1])
+    usual = np.append(
+        np.linspace(0.0, 0.7, 40, endpoint=False), np.linspace(0.7, 1.15, 901)[:-1]
+    )
     later = np.linspace(1.15, 1.3, 300, endpoint=False)
     late = np.concatenate((usual, later, np.linspace(1.3, 2.5, 601)[:-1]))
     close = 1e-3 * np.sinh(np.linspace(-6.0, 6.0, 201)) / math.sinh(6.0)
@@ -350,7 +368,9 @@ def _simulate_collapses(
     usual, late, close = (about[:, None] * x.to(about) for x in _collapse_times_looked_at())
     found = find_minima(usual, parameters, designs)
     missing = torch.isnan(found).any(-1)
-    found = _replace_times(found, missing, partial(find_minima, late), parameters, designs, bundled)
+    found = _replace_times(
+        found, missing, partial(find_minima, late), parameters, designs, bundled
+    )
     if not (precise or bundled):
         return found
     lost = torch.isnan(found)
@@ -395,7 +415,9 @@ def _interpolate_collapses(
     The range of (ln We, R_inf*) is rounded to ``steps``, so that nodes stay, and where times are
     kept a step wider than that of the measured designs.
     """
-    places, middles = (torch.stack((x[..., 0].log(), x[..., 1]), -1) for x in (designs, measured))
+    places, middles = (
+        torch.stack((x[..., 0].log(), x[..., 1]), -1) for x in (designs, measured)
+    )
     step = tensor(steps)
     ends = places.reshape(-1, 2)
     if kept is not None:

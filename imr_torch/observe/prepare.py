@@ -101,7 +101,9 @@ def prepare(
     ((63, 2, 40), 0.98)
     """
     if collapses < 1:
-        raise InputDataError(f"collapses is {collapses}; the fitted window needs at least 1.")
+        raise InputDataError(
+            f"collapses is {collapses}; the fitted window needs at least 1."
+        )
     if rest_radius is not None and not (
         0.0 < rest_radius[0] < 1.0 and 0.0 <= rest_radius[1] < math.inf
     ):
@@ -121,14 +123,18 @@ def prepare(
         marks = landmarks[name]
         with about_experiment(name):
             cautions += check_maximum(record, marks, outer)
-            trace = _thin_dense_record(record, outer.time_scale(marks.max_radius_m), most_frames)
+            trace = _thin_dense_record(
+                record, outer.time_scale(marks.max_radius_m), most_frames
+            )
             kept.append(trace)
             if len(trace) < len(record):
                 cautions.append(
                     f"{len(trace)} of the {len(record)} frames of '{name}' are used, evenly spread: "
                     "so many more would change little."
                 )
-            whole = to_experiment(trace, marks, outer, rest_radius=rest_radius, growth=growth)
+            whole = to_experiment(
+                trace, marks, outer, rest_radius=rest_radius, growth=growth
+            )
             first = _first_collapse(whole, marks, outer)
             cautions += check_experiment(whole, trace.where, first=first)
             window = _cut_window(trace, whole, marks, outer, collapses)
@@ -169,11 +175,15 @@ def _thin_dense_record(
     stride = min(-(-len(trace) // most), int(widest / spacing))
     if stride < 2:
         return trace
-    frames = {name: x[::stride] for name, x in vars(trace).items() if isinstance(x, torch.Tensor)}
+    frames = {
+        name: x[::stride] for name, x in vars(trace).items() if isinstance(x, torch.Tensor)
+    }
     return replace(trace, **frames)
 
 
-def _first_collapse(whole: Experiment, marks: Landmarks, surroundings: Surroundings) -> float:
+def _first_collapse(
+    whole: Experiment, marks: Landmarks, surroundings: Surroundings
+) -> float:
     """:func:`_collapse_frame` of the first.
 
     Of a bubble that has come down long before it, a late minimum is noise and none.
@@ -186,12 +196,16 @@ def _first_collapse(whole: Experiment, marks: Landmarks, surroundings: Surroundi
     return math.inf if first > latest >= 2.0 * float(came_down) else first
 
 
-def _borrow_rest_radii(landmarks: dict[str, Landmarks], *, least_sd: float = 0.4) -> list[str]:
+def _borrow_rest_radii(
+    landmarks: dict[str, Landmarks], *, least_sd: float = 0.4
+) -> list[str]:
     """Gives curves whose record does not hold R_inf that of the others, over Rmax and with an error
     of ``least_sd`` of it or more, and says so.
     """
     ratios = [
-        m.rest_radius_m / m.max_radius_m for m in landmarks.values() if m.rest_radius_m is not None
+        m.rest_radius_m / m.max_radius_m
+        for m in landmarks.values()
+        if m.rest_radius_m is not None
     ]
     lacking = [name for name, marks in landmarks.items() if marks.rest_radius_m is None]
     if not ratios or not lacking:
@@ -254,7 +268,9 @@ def _cut_window(
     if override is not None and override.window_end_s is not None:
         end = marks.dimensionless_time(override.window_end_s, surroundings)
         last = f"the stated end of the window at {1e6 * override.window_end_s:.4g} us"
-        remedy = "State a later window_end_s, on the time axis of the file, or leave it out."
+        remedy = (
+            "State a later window_end_s, on the time axis of the file, or leave it out."
+        )
     if (count := int((whole.times <= end).sum())) < MIN_SAMPLES:
         raise InputDataError(
             f"{trace.where} has {count} frames between its maximum and {last}; at least "

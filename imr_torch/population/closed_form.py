@@ -186,8 +186,12 @@ def grid_scatters(
         )
     middle = zeros(len(low), len(scale))
     middle[:, varying] = low + 0.5 * width
-    log_prior = HalfNormal(scale[varying]).log_prob(middle[:, varying]).sum(1) + width.log().sum(1)
-    parts = [shots.given(x, prior.mean, prior.precision).evidence for x in middle.split(chunk)]
+    log_prior = HalfNormal(scale[varying]).log_prob(middle[:, varying]).sum(
+        1
+    ) + width.log().sum(1)
+    parts = [
+        shots.given(x, prior.mean, prior.precision).evidence for x in middle.split(chunk)
+    ]
     return Cells(low, width, log_prior, torch.cat(parts))
 
 

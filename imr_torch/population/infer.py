@@ -108,7 +108,9 @@ def fit_shots(
     """
     labels = [experiment.label for experiment in experiments]
     if not labels or len(set(labels)) < len(labels):
-        raise InputDataError(f"Shots of different names are needed, got {len(labels)}: {labels}.")
+        raise InputDataError(
+            f"Shots of different names are needed, got {len(labels)}: {labels}."
+        )
     belief = even_belief((prior,))
     law = noise or Noise()
     first = replace(law, kink=FIRST_KINK) if rounds else law
@@ -134,7 +136,9 @@ def fit_shots(
             batch = ExperimentBatch((experiment,), first)
             batch = batch if current is None else current.of_curve(place).applied(batch)
             found.append(
-                assimilate(belief, batch, simulator, seed=own, options=how, near=before, warn=False)
+                assimilate(
+                    belief, batch, simulator, seed=own, options=how, near=before, warn=False
+                )
             )
             done = number * len(labels) + len(found)
             report_shot("shots", experiment.label, done, f"round {number + 1}")
@@ -145,7 +149,9 @@ def fit_shots(
                 progress(f"noise {law if current is None else current.law}")
     weighted = []
     for fit, label in zip(fits, labels, strict=True):
-        weighted.append(weigh(fit, simulator, seed=child(seed, "weigh", label), samples=samples))
+        weighted.append(
+            weigh(fit, simulator, seed=child(seed, "weigh", label), samples=samples)
+        )
         done = steps - draws * (len(labels) - len(weighted))
         report_shot("draws", label, done, weighted[-1].fits[0].trust)
     return tuple(weighted)
@@ -230,7 +236,8 @@ def infer_population(
         sizes = range(len(columns) + 1)
         sets = chain.from_iterable(combinations(columns, size) for size in sizes)
         return {
-            which: draw_population(which, width, draws // 2, "evidence", *which) for which in sets
+            which: draw_population(which, width, draws // 2, "evidence", *which)
+            for which in sets
         }
 
     found = draw_population(columns, scale, draws, "population")
@@ -239,9 +246,12 @@ def infer_population(
     for width in (0.5 * scale, 2.0 * scale):
         other = draw_population(columns, width, draws, "population")
         intervals = {
-            names[i]: other.take_quantiles(other.scatter[:, i] * units[i]).tolist() for i in columns
+            names[i]: other.take_quantiles(other.scatter[:, i] * units[i]).tolist()
+            for i in columns
         }
-        checks.append(ScaleCheck(width, _bayes_factor(draw_sets(width), columns), intervals))
+        checks.append(
+            ScaleCheck(width, _bayes_factor(draw_sets(width), columns), intervals)
+        )
     return Population(
         prior=prior,
         shots=shots,
@@ -267,7 +277,9 @@ def coordinate_units(prior: ModelBelief) -> Controls:
     >>> [round(x, 2) for x in coordinate_units(wide_prior(["gen_qkv"])["gen_qkv"]).tolist()]  # ln 5, ln 3, the control of alpha
     [1.61, 1.1, 1.0]
     """
-    values = [math.log(m.factor) if isinstance(m, LogNormal) else 1.0 for m in prior.marginals]
+    values = [
+        math.log(m.factor) if isinstance(m, LogNormal) else 1.0 for m in prior.marginals
+    ]
     return tensor(values)
 
 
@@ -318,7 +330,9 @@ def _bayes_factor(
     means = []
     variance = 0.0
     for varies in (True, False):
-        some = [found for s, found in evidence.items() if varies is bool(set(s) & set(columns))]
+        some = [
+            found for s, found in evidence.items() if varies is bool(set(s) & set(columns))
+        ]
         logs = torch.stack([found.log_evidences for found in some])
         means.append(torch.logsumexp(logs, 0) - math.log(len(some)))
         errors = tensor([found.evidence_error for found in some])

@@ -21,7 +21,13 @@ from torch import Tensor
 from imr_torch.assimilate import Assimilation, Verdict
 from imr_torch.errors import InputDataError
 from imr_torch.population.closed_form import without_prior
-from imr_torch.types import BatchControls, ControlMatrix, Controls, DrawnControls, DrawnValues
+from imr_torch.types import (
+    BatchControls,
+    ControlMatrix,
+    Controls,
+    DrawnControls,
+    DrawnValues,
+)
 
 GROUPS = 10
 """Groups of draws, each left out once, that give the Monte Carlo error."""
@@ -103,7 +109,9 @@ class ShotLikelihood:
         controls = fit.prior.unwhitened(sample.controls[possible])
         trusted = fit.verdict is Verdict.TRUSTED
         moments = (
-            (fit.mean, fit.chol @ fit.chol.mT) if trusted else (sample.mean, sample.covariance)
+            (fit.mean, fit.chol @ fit.chol.mT)
+            if trusted
+            else (sample.mean, sample.covariance)
         )
         mean = fit.prior.unwhitened(moments[0])
         covariance = fit.prior.chol @ moments[1] @ fit.prior.chol.mT
@@ -121,9 +129,9 @@ class ShotLikelihood:
         # the constant gives the evidence of the draws within reach under the shot's own prior
         smooth = _evaluate_monomials(whitened, monomials, cls.reach) @ coefficients.mT
         log_ratio = sample.log_prior[possible] - log_proposal
-        coefficients[:, 0] += torch.logsumexp((likelihood + log_ratio)[near], 0) - torch.logsumexp(
-            (smooth + (quadratic + log_ratio)[:, None])[near], 0
-        )
+        coefficients[:, 0] += torch.logsumexp(
+            (likelihood + log_ratio)[near], 0
+        ) - torch.logsumexp((smooth + (quadratic + log_ratio)[:, None])[near], 0)
         constant = float(coefficients[0, 0])
         coefficients[:, 0] -= constant
         return cls(
@@ -137,7 +145,9 @@ class ShotLikelihood:
             coefficients=coefficients,
             misses=misses,
             mean=fit.prior.unwhitened(sample.mean),
-            sd=torch.linalg.norm(fit.prior.chol @ torch.linalg.cholesky(sample.covariance), dim=1),
+            sd=torch.linalg.norm(
+                fit.prior.chol @ torch.linalg.cholesky(sample.covariance), dim=1
+            ),
             effective_samples=sample.effective_samples,
             reliable=fit.certificate.converged
             and fit.verdict in (Verdict.TRUSTED, Verdict.REPAIRED),
@@ -246,7 +256,9 @@ def _weigh_robustly(
     for _ in range(iterations):
         root = robust.sqrt()
         Q, R = torch.linalg.qr(root[:, None] * basis)
-        solved = torch.linalg.solve_triangular(R, (Q.mT @ (root * values))[:, None], upper=True)
+        solved = torch.linalg.solve_triangular(
+            R, (Q.mT @ (root * values))[:, None], upper=True
+        )
         left = (values - basis @ solved[:, 0]) / (1.0 - Q.square().sum(1)).clamp_min(0.1)
         size, order = left.abs().sort()
         half = torch.searchsorted(weights[order].cumsum(0), 0.5 * weights.sum())

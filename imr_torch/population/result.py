@@ -219,7 +219,9 @@ class Population:
     @property
     def cautions(self) -> tuple[str, ...]:
         """What makes the numbers doubtful, a sentence each."""
-        return tuple(filter(None, render("population_cautions.txt", found=self).splitlines()))
+        return tuple(
+            filter(None, render("population_cautions.txt", found=self).splitlines())
+        )
 
     def report(self) -> str:
         """The result as text."""
@@ -264,7 +266,9 @@ class Population:
                 "id": shot.label,
                 "We": float(design[0]),
                 "R_inf*": float(design[1]),
-                "given_all": {name: self.shot(shot.label, name) for name in self.prior.names},
+                "given_all": {
+                    name: self.shot(shot.label, name) for name in self.prior.names
+                },
                 "alone": {name: self.alone(shot.label, name) for name in self.prior.names},
                 "reliable": shot.reliable,
                 "smooth_misses": shot.misses,

@@ -73,7 +73,10 @@ class WeightedPopulation(SmoothedWeights):
     @property
     def reliable(self) -> bool:
         """Whether estimates from these draws are reliable."""
-        return self.pareto_k <= largest_shape(len(self.weights)) and self.effective_samples >= 100.0
+        return (
+            self.pareto_k <= largest_shape(len(self.weights))
+            and self.effective_samples >= 100.0
+        )
 
     @property
     def log_evidences(self) -> Float[Tensor, "groups"]:
@@ -130,7 +133,9 @@ def sample_population(
 
     def draw_weighted(gaussian: GaussianShots) -> WeightedPopulation:
         scatter, log_ratio = _draw_scatters(problem, gaussian, draws, source)
-        parts = [_draw_gels(problem, gaussian, rows, source) for rows in scatter.split(chunk)]
+        parts = [
+            _draw_gels(problem, gaussian, rows, source) for rows in scatter.split(chunk)
+        ]
         centre, shots, log_weights = (torch.cat(x) for x in zip(*parts, strict=True))
         return WeightedPopulation(scatter, centre, shots, log_weights + log_ratio[:, None])
 
@@ -141,7 +146,9 @@ def sample_population(
     )
     best = draw_weighted(quadratics)
     for _ in range(refits):
-        if best.effective_samples >= enough * draws and best.pareto_k < largest_shape(draws):
+        if best.effective_samples >= enough * draws and best.pareto_k < largest_shape(
+            draws
+        ):
             break
         other = draw_weighted(_refit_gaussians(problem, best))
         best = max(best, other, key=lambda found: found.effective_samples)
@@ -192,7 +199,9 @@ def _draw_gels(
     count, size = scatter.shape
     given = gaussian.given(scatter, problem.prior.mean, problem.prior.precision)
     noise = student_draws((count, size), freedom, source)
-    away = torch.linalg.solve_triangular(given.chol.mT, noise[..., None], upper=True)[..., 0]
+    away = torch.linalg.solve_triangular(given.chol.mT, noise[..., None], upper=True)[
+        ..., 0
+    ]
     centre = given.centre + away
     square = noise.square().sum(1)
     # evidence times the Gaussian posterior of the centre, over the proposal of it
@@ -208,7 +217,9 @@ def _draw_gels(
         gels = means[:, e, None] + noise @ given.factor[:, e].mT
         gaussian_part = quadratic_form(gels, gaussian.precision[e], gaussian.linear[e])
         left = shot.log_probs(gels) - (gaussian.constant[e] + gaussian_part)[..., None]
-        chosen = torch.multinomial(torch.softmax(left[..., 0], 1), 1, generator=source)[:, 0]
+        chosen = torch.multinomial(torch.softmax(left[..., 0], 1), 1, generator=source)[
+            :, 0
+        ]
         shots.append(gels[torch.arange(count), chosen])
         missed.append(torch.logsumexp(left, 1) - math.log(each))
     return centre, torch.stack(shots, 1), log_weights[:, None] + torch.stack(missed).sum(0)
@@ -239,5 +250,7 @@ def _refit_gaussians(problem: Problem, found: WeightedPopulation) -> GaussianSho
         curve[rows, columns] = -solved[1 + size :]
         A = positive_part(curve + curve.mT) / (unit[:, None] * unit)
         slope = solved[1 : 1 + size] / unit
-        parts.append((A, slope + A @ mean, solved[0] - slope @ mean - 0.5 * mean @ A @ mean))
+        parts.append(
+            (A, slope + A @ mean, solved[0] - slope @ mean - 0.5 * mean @ A @ mean)
+        )
     return GaussianShots(*(torch.stack(x) for x in zip(*parts, strict=True)))

@@ -29,7 +29,9 @@ def read_number(cell: str, *, comma: bool = False) -> float | None:
     """
     if comma and _COMMA.fullmatch(cell):
         cell = cell.replace(",", ".")
-    if not cell.isascii() or "_" in cell:  # Python reads 1_0 and digits of other scripts too
+    if (
+        not cell.isascii() or "_" in cell
+    ):  # Python reads 1_0 and digits of other scripts too
         return None
     try:
         return float(cell)
@@ -135,7 +137,9 @@ class Content:
             for i, cell in enumerate(cells)
             if cell and read_number(cell, comma=comma) is None
         )
-        shown = repr(cell) if len(cell) <= 40 else f"{cell[:40]!r}... ({len(cell)} characters)"
+        shown = (
+            repr(cell) if len(cell) <= 40 else f"{cell[:40]!r}... ({len(cell)} characters)"
+        )
         remedy = "write numbers with a decimal point, and a lost frame as NaN."
         if "," in cell:
             remedy = (
@@ -187,14 +191,18 @@ class Content:
         """Names and shapes, such as ``R (256,), All cell of 4 x (257,), Req scalar``."""
         if self.is_table:
             return f"columns {', '.join(self.values)}"
-        return ", ".join(f"{name} {_describe_shape(value)}" for name, value in self.values.items())
+        return ", ".join(
+            f"{name} {_describe_shape(value)}" for name, value in self.values.items()
+        )
 
 
 def _describe_shape(value: Any) -> str:
     if isinstance(value, str):
         return "text"
     if isinstance(value, list):
-        shapes = sorted({str(np.shape(x)) for x in value if not isinstance(x, (dict, list))})
+        shapes = sorted(
+            {str(np.shape(x)) for x in value if not isinstance(x, (dict, list))}
+        )
         return f"cell of {len(value)} x {' or '.join(shapes[:3]) or 'struct'}"
     return str(np.shape(value)) if np.shape(value) else "scalar"
 
@@ -258,11 +266,15 @@ def read_arrays(path: str | Path, names: Collection[str]) -> dict[str, np.ndarra
             for name in names:
                 array = archive[name]
                 if array.dtype.kind not in "fiub":
-                    raise ValueError(f"array {name!r} holds {array.dtype}, not real numbers")
+                    raise ValueError(
+                        f"array {name!r} holds {array.dtype}, not real numbers"
+                    )
                 arrays[name] = array.astype(np.float64)
     except InputDataError:
         raise
-    except Exception as error:  # zipfile and NumPy each raise their own kinds on damaged files
+    except (
+        Exception
+    ) as error:  # zipfile and NumPy each raise their own kinds on damaged files
         raise InputDataError(
             f"{path}: cannot be read as .npz arrays of numbers ({error}); write it with "
             "numpy.savez."

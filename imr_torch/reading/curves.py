@@ -127,12 +127,18 @@ def curves_of(
         excluded = curve.experiment_id in exclude
         if excluded or not curve.radius.size:
             why = "left out as asked for" if excluded else "an empty cell"
-            left_out.append(LeftOut(curve.file, curve.experiment_id, row_ranges(curve.rows), why))
+            left_out.append(
+                LeftOut(curve.file, curve.experiment_id, row_ranges(curve.rows), why)
+            )
             continue
         top_m = None if top is None else top * LENGTHS[layout.max_radius_unit]
-        rest_m = None if rest is None else rest * scales.metres(layout.rest_radius_unit, top_m)
+        rest_m = (
+            None if rest is None else rest * scales.metres(layout.rest_radius_unit, top_m)
+        )
         with about_experiment(curve.experiment_id):
-            converted = _convert_to_si(_mark_absent(curve, layout), layout, scales, top_m, rest_m)
+            converted = _convert_to_si(
+                _mark_absent(curve, layout), layout, scales, top_m, rest_m
+            )
             trace, dropped = _make_trace(_leave_out_peak(converted, layout), sort=sort)
         left_out += dropped
         traces += [] if trace is None else [trace]
@@ -165,7 +171,9 @@ def find_layout(content: Content, said: Said) -> tuple[Layout, list[str]]:
             'layout=Layout.from_text("...")).'
         )
     if best:
-        return fitting[best[0]], [f"{content.path}: read with the known layout '{best[0]}'."]
+        return fitting[best[0]], [
+            f"{content.path}: read with the known layout '{best[0]}'."
+        ]
     layout = infer_layout(content, _add_declared_units(content, said))
     time = f"frames {layout.frame_interval:g} s apart" if layout.frame_interval else ""
     if layout.time:
@@ -257,11 +265,15 @@ def _split_curves(content: Content, layout: Layout) -> tuple[list[RawCurve], lis
     axes = _vectors_beside(content, layout, "symmetry_axis", radii)
     groups, left_out = _group_rows(content, layout)
     curves = []
-    for i, ((column, radius), time, axis) in enumerate(zip(columns, times, axes, strict=True), 1):
+    for i, ((column, radius), time, axis) in enumerate(
+        zip(columns, times, axes, strict=True), 1
+    ):
         asphericity = None
         if axis is not None:
             seen = (radius > 0.0) & (axis > 0.0)
-            asphericity = np.divide(radius, axis, out=np.full(len(axis), np.nan), where=seen) - 1.0
+            asphericity = (
+                np.divide(radius, axis, out=np.full(len(axis), np.nan), where=seen) - 1.0
+            )
             radius = np.where(seen, np.cbrt(radius * radius * axis), np.nan)
         frames = np.arange(len(radius))
         time = frames if time is None else time
@@ -329,7 +341,9 @@ def _group_rows(
         if len(rows)
     ]
     filled = [part for part in parts if len(part)]
-    return {f"{content.path.stem}_{i:03d}": part for i, part in enumerate(filled, 1)}, left_out
+    return {
+        f"{content.path.stem}_{i:03d}": part for i, part in enumerate(filled, 1)
+    }, left_out
 
 
 def _mark_absent(curve: RawCurve, layout: Layout) -> RawCurve:
@@ -442,9 +456,7 @@ def _make_trace(
         double = np.diff(curve.time, prepend=-np.inf) <= 0.0
         curve = curve.leave_out(double, "its time is that of another row")
     if len(curve.radius) < MIN_SAMPLES:
-        reason = (
-            f"only {len(curve.radius)} frame(s) with a bubble; a curve needs at least {MIN_SAMPLES}"
-        )
+        reason = f"only {len(curve.radius)} frame(s) with a bubble; a curve needs at least {MIN_SAMPLES}"
         short = LeftOut(curve.file, curve.experiment_id, row_ranges(curve.rows), reason)
         return None, (*curve.left_out, short)
     step = np.diff(curve.time, prepend=-np.inf)

@@ -146,7 +146,9 @@ class Layout:
             "rest_radius",
         )
         return tuple(
-            value for value in (getattr(self, name) for name in named) if isinstance(value, str)
+            value
+            for value in (getattr(self, name) for name in named)
+            if isinstance(value, str)
         )
 
     @classmethod
@@ -248,7 +250,9 @@ def find_scales(content: Content, layout: Layout, said: Said) -> tuple[Scales, l
     if layout.time_unit == "dimensionless":
         known = {} if content.is_table else content.values
         density = content.number("density", "rho" if "rho" in known else None) or density
-        pressure = content.number("pressure", "P_inf" if "P_inf" in known else None) or pressure
+        pressure = (
+            content.number("pressure", "P_inf" if "P_inf" in known else None) or pressure
+        )
         notes = [
             f"{content.path}: times are dimensionless and are undone with {density:g} kg/m^3 and "
             f"{pressure:g} Pa; if their author took others, state them as the medium in the JSON "
@@ -367,7 +371,8 @@ def _choose_entries(
             "max_radius_entries to override this."
         ]
     table = "; ".join(
-        f"curve {k + 1}: " + ", ".join(f"{x:.4g}" for x in row) for k, row in enumerate(implied)
+        f"curve {k + 1}: " + ", ".join(f"{x:.4g}" for x in row)
+        for k, row in enumerate(implied)
     )
     why = f"{len(fitting)} choices fit" if len(fitting) else "no choice fits"
     raise InputDataError(

@@ -129,7 +129,9 @@ def load_traces(
     """
     if not paths:
         raise InputDataError("load_traces was given no file; name at least one.")
-    return TraceSet.join([_load_file(path, layout, sort, exclude) for path in find_files(*paths)])
+    return TraceSet.join(
+        [_load_file(path, layout, sort, exclude) for path in find_files(*paths)]
+    )
 
 
 def find_files(*paths: str | Path) -> list[Path]:
@@ -149,7 +151,9 @@ def find_files(*paths: str | Path) -> list[Path]:
     """
     for name in paths:
         if not str(name) or "\0" in str(name):
-            raise InputDataError(f"{str(name)!r} names no file or folder; give the name of one.")
+            raise InputDataError(
+                f"{str(name)!r} names no file or folder; give the name of one."
+            )
     found: list[Path] = []
     for path in map(Path, paths):
         inside = [path]
@@ -162,7 +166,9 @@ def find_files(*paths: str | Path) -> list[Path]:
             )
         elif not path.exists() and glob.has_magic(str(path)):
             inside = [
-                file for file in map(Path, glob.glob(str(path), recursive=True)) if file.is_file()
+                file
+                for file in map(Path, glob.glob(str(path), recursive=True))
+                if file.is_file()
             ]
             lacking = f"no file fits this pattern; check it and the folder ({Path.cwd()})"
         if not inside:
@@ -177,10 +183,16 @@ def _is_of_curves(path: Path) -> bool:
         return False
     if path.suffix.lower() in SUFFIXES:
         return True
-    return bool(READERS) and path.is_file() and _find_reader(path, _first_bytes(path)) is not None
+    return (
+        bool(READERS)
+        and path.is_file()
+        and _find_reader(path, _first_bytes(path)) is not None
+    )
 
 
-def _load_file(path: Path, layout: Layout | None, sort: bool, exclude: Collection[str]) -> TraceSet:
+def _load_file(
+    path: Path, layout: Layout | None, sort: bool, exclude: Collection[str]
+) -> TraceSet:
     """The curves of one file, with what the JSON file beside it says."""
     beside = Sidecar(path)
     if layout is None and is_shot_file(path):
@@ -255,7 +267,9 @@ def is_shot_file(path: str | Path) -> bool:
         if Path(path).suffix.lower() == ".mat":
             return SHOT_ARRAY in {name for name, _, _ in scipy.io.whosmat(str(path))}
         with Path(path).open(encoding="utf-8-sig") as stream:
-            return set(SHOT_COLUMNS) <= {cell.strip() for cell in stream.readline().split(",")}
+            return set(SHOT_COLUMNS) <= {
+                cell.strip() for cell in stream.readline().split(",")
+            }
     except Exception:  # what cannot be read is reported where it is read
         return False
 
@@ -285,11 +299,15 @@ def load_driving(path: str | Path) -> TabulatedDriving:
     """
     content = read_contents(Path(path))[0]
     columns = []
-    for units, what, example in ((TIMES, "time", "time (us)"), (PRESSURES, "pressure", "p (kPa)")):
+    for units, what, example in (
+        (TIMES, "time", "time (us)"),
+        (PRESSURES, "pressure", "p (kPa)"),
+    ):
         found = {
             name: units[unit]
             for name in content.plain_vectors()
-            if (unit := read_heading(name, content.units.get(name, ""), units).unit) is not None
+            if (unit := read_heading(name, content.units.get(name, ""), units).unit)
+            is not None
         }
         if len(found) != 1:
             raise InputDataError(
@@ -301,6 +319,8 @@ def load_driving(path: str | Path) -> TabulatedDriving:
     times, pressures = columns
     kept = np.isfinite(times) & np.isfinite(pressures)
     try:
-        return TabulatedDriving(tuple(times[kept].tolist()), tuple(pressures[kept].tolist()))
+        return TabulatedDriving(
+            tuple(times[kept].tolist()), tuple(pressures[kept].tolist())
+        )
     except InputDataError as error:
         raise InputDataError(f"{path}: {error}") from None

@@ -52,7 +52,9 @@ def read_matlab(path: Path) -> Content:
         for name, value in content.items():
             if not name.startswith(("__", "#")):
                 _add_values(name, value, values, units)
-    except Exception as error:  # SciPy, h5py and zlib each raise their own kinds on damaged files
+    except (
+        Exception
+    ) as error:  # SciPy, h5py and zlib each raise their own kinds on damaged files
         raise InputDataError(
             f"{path}: cannot be read as a MATLAB file ({type(error).__name__}: {error}). Save it "
             "again in MATLAB with save(name, '-v7'), or export time and radius as CSV."
@@ -100,8 +102,12 @@ def _inspect_file(path: Path) -> bool:
         else:
             with path.open("rb") as stream:
                 head = stream.read(124)
-            holds_objects = head.startswith(b"MATLAB 5.0") and bool(head[116:].strip(b"\0 "))
-            sizes = {name: 8 * math.prod(shape) for name, shape, _ in scipy.io.whosmat(str(path))}
+            holds_objects = head.startswith(b"MATLAB 5.0") and bool(
+                head[116:].strip(b"\0 ")
+            )
+            sizes = {
+                name: 8 * math.prod(shape) for name, shape, _ in scipy.io.whosmat(str(path))
+            }
     except Exception:  # a damaged file is reported where it is read
         return holds_objects
     if sum(sizes.values()) > LARGEST:
@@ -114,14 +120,18 @@ def _inspect_file(path: Path) -> bool:
     return holds_objects
 
 
-def _add_values(name: str, value: Any, values: dict[str, Any], units: dict[str, str]) -> None:
+def _add_values(
+    name: str, value: Any, values: dict[str, Any], units: dict[str, str]
+) -> None:
     """Add a value, or each of its fields or columns, under its name."""
     if hasattr(value, "columns"):  # a table, which is a data frame
         written = value.attrs.get("VariableUnits") or value.attrs.get("varUnits") or []
         if value.index.dtype.kind in "mM":  # of a timetable
             value = value.reset_index()
             written = ["", *written]
-        for column, unit in zip(value.columns, [*written, *[""] * value.shape[1]], strict=False):
+        for column, unit in zip(
+            value.columns, [*written, *[""] * value.shape[1]], strict=False
+        ):
             _add_values(f"{name}.{column}", value[column].to_numpy(), values, units)
             units |= {f"{name}.{column}": unit} if unit else {}
     elif isinstance(value, dict):
@@ -133,7 +143,9 @@ def _add_values(name: str, value: Any, values: dict[str, Any], units: dict[str, 
             if len(structs) == 1:
                 _add_values(f"{name}.{field}", structs[0][field], values, units)
             else:
-                values[f"{name}.{field}"] = [_simplify_value(struct[field]) for struct in structs]
+                values[f"{name}.{field}"] = [
+                    _simplify_value(struct[field]) for struct in structs
+                ]
     else:
         values[name] = _simplify_value(value)
         if isinstance(value, np.ndarray) and value.dtype.kind in "mM":

@@ -22,7 +22,9 @@ from imr_torch.reading.traces import MIN_SAMPLES, RADIUS_RANGE_M
 
 _TABLE = read_table("headings")
 _ALIASES = {alias: unit for unit, aliases in _TABLE["units"].items() for alias in aliases}
-_ERROR = re.compile(r"(^|[^a-z])(sd|std|err|error|sigma|uncertainty)([^a-z]|$)", re.IGNORECASE)
+_ERROR = re.compile(
+    r"(^|[^a-z])(sd|std|err|error|sigma|uncertainty)([^a-z]|$)", re.IGNORECASE
+)
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,9 @@ class Heading:
             return None
         if plain == "d" or "diam" in plain:
             return "diameter"
-        role = next((role for role, names in _TABLE["roles"].items() if plain in names), None)
+        role = next(
+            (role for role, names in _TABLE["roles"].items() if plain in names), None
+        )
         if role in ("half axis a", "half axis b") and any(map(str.isdigit, self.bare)):
             return None  # a coefficient, such as a1
         return None if role == "experiment" and self.unit is not None else role
@@ -102,7 +106,9 @@ def headings_of(content: Content) -> list[Heading]:
     for program in _TABLE["programs"]:
         if all(content.names_like(name) for name in program["shown_by"]):
             of_names = program["units"].items()
-            units |= {full: unit for name, unit in of_names for full in content.names_like(name)}
+            units |= {
+                full: unit for name, unit in of_names for full in content.names_like(name)
+            }
     found = []
     for name, value in content.values.items():
         cells = _is_list_of(value, np.ndarray) or _is_list_of(value, str)
@@ -113,7 +119,9 @@ def headings_of(content: Content) -> list[Heading]:
 
 
 def _is_list_of(value: object, kind: type) -> bool:
-    return isinstance(value, list) and bool(value) and all(isinstance(x, kind) for x in value)
+    return (
+        isinstance(value, list) and bool(value) and all(isinstance(x, kind) for x in value)
+    )
 
 
 def infer_layout(content: Content, said: Said) -> Layout:
@@ -130,7 +138,12 @@ def infer_layout(content: Content, said: Said) -> Layout:
     file = content.path
     headings = headings_of(content)
     values = content.plain_vectors()
-    if not content.has_header and len(headings) == 2 and said.time_unit and said.radius_unit:
+    if (
+        not content.has_header
+        and len(headings) == 2
+        and said.time_unit
+        and said.radius_unit
+    ):
         headings = [Heading("1", "t", None), Heading("2", "R", None)]
     usable = [h for h in headings if h.name in values or h.role or h.unit]
     if not content.is_table:
@@ -138,7 +151,9 @@ def infer_layout(content: Content, said: Said) -> Layout:
     time = _find_time(usable)
     radii = _find_radii(usable)
     axes = [h for role in ("half axis a", "half axis b") for h in usable if h.role == role]
-    ellipse = not any(h.role == "radius" for h in radii) and len(axes) == 2 and axes[0].is_length
+    ellipse = (
+        not any(h.role == "radius" for h in radii) and len(axes) == 2 and axes[0].is_length
+    )
     _check_kinds(file, usable, axes if ellipse else radii)
     radii = axes if ellipse else _keep_one_unit([h for h in radii if h is not time])
     experiment = _find_experiment(headings, (time, *radii))
@@ -206,7 +221,11 @@ def _keep_one_unit(radii: list[Heading]) -> list[Heading]:
 
 
 def _possible_unit(
-    content: Content, radius: Heading, time: Heading, *, lasts: tuple[float, float] = (0.05, 100.0)
+    content: Content,
+    radius: Heading,
+    time: Heading,
+    *,
+    lasts: tuple[float, float] = (0.05, 100.0),
 ) -> str | None:
     """``"m"`` or ``"um"``: in which of them, and in seconds, a bubble may be by names that IMR codes
     save; None if in neither.
@@ -245,11 +264,15 @@ def _rest_name(content: Content) -> str | None:
     return None
 
 
-def _find_experiment(headings: Sequence[Heading], taken: Sequence[Heading]) -> Heading | None:
+def _find_experiment(
+    headings: Sequence[Heading], taken: Sequence[Heading]
+) -> Heading | None:
     return next((h for h in headings if h.role == "experiment" and h not in taken), None)
 
 
-def _check_kinds(file: object, headings: Sequence[Heading], radii: Sequence[Heading]) -> None:
+def _check_kinds(
+    file: object, headings: Sequence[Heading], radii: Sequence[Heading]
+) -> None:
     """Refuse diameters in the place of radii, and several columns of times."""
     diameters = [h.name for h in headings if h.role == "diameter"]
     if diameters and not radii:
@@ -267,7 +290,9 @@ def _check_kinds(file: object, headings: Sequence[Heading], radii: Sequence[Head
         )
 
 
-def _check_scales(file: object, said: Said, radii: Sequence[Heading], time: Heading) -> None:
+def _check_scales(
+    file: object, said: Said, radii: Sequence[Heading], time: Heading
+) -> None:
     """Refuse units whose size is not known."""
     radius_unit = radii[0].unit
     known = f"radius={'+'.join(h.name for h in radii)},radius_unit={radius_unit}"
@@ -275,7 +300,12 @@ def _check_scales(file: object, said: Said, radii: Sequence[Heading], time: Head
     dimensionless = "dimensionless" in (radius_unit, time.unit)
     for needed, key, setting, meaning in (
         (radius_unit == "px", "pixel_size_m", "pixel_size", "metres per pixel"),
-        (time.unit == "frames", "frame_rate_fps", "frame_interval", "seconds between frames"),
+        (
+            time.unit == "frames",
+            "frame_rate_fps",
+            "frame_interval",
+            "seconds between frames",
+        ),
         (dimensionless, "Rmax_m", "max_radius", "metres"),
     ):
         if needed and getattr(said, setting) is None:
@@ -296,7 +326,9 @@ def _find_radii(headings: Sequence[Heading]) -> list[Heading]:
     named = [h for h in headings if h.role == "radius"]
     unnamed = (None, "half axis a", "half axis b")
     return named or [
-        h for h in headings if h.is_length and h.role in unnamed and not _ERROR.search(h.bare)
+        h
+        for h in headings
+        if h.is_length and h.role in unnamed and not _ERROR.search(h.bare)
     ]
 
 
@@ -312,13 +344,13 @@ def _propose_layout(
         time = numeric[0]
     radii = [h for h in _find_radii(numeric) or numeric if h is not time]
     if not radii:
-        return (
-            'Say what they mean: --layout "radius=<name>,radius_unit=um,time=<name>,time_unit=us".'
-        )
+        return 'Say what they mean: --layout "radius=<name>,radius_unit=um,time=<name>,time_unit=us".'
     top = max(float(np.nanmax(np.abs(values[h.name]), initial=0.0)) for h in radii)
     unit = radii[0].unit or said.radius_unit or _nearest_unit(top, LENGTHS, 2e-4)
     every = len(radii) > 1 and len(radii) == len(numeric) - (time in numeric)
-    option = f"radius={'*' if every else '+'.join(h.name for h in radii)},radius_unit={unit}"
+    option = (
+        f"radius={'*' if every else '+'.join(h.name for h in radii)},radius_unit={unit}"
+    )
     option += ",pixel_size=<metres per pixel>" if unit == "px" else ""
     sense = f"a largest radius of {top:.4g} {unit}"
     if time == _COUNTED:

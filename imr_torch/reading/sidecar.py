@@ -49,9 +49,7 @@ _NUMBERS = {
     **{key: field for key, field in OVERRIDES.items() if key != "window_end_s"},
     **_OF_CAMERA,
 }
-_EXPECTED = (
-    "expected JSON with a list 'experiments' of entries with experiment_id, Rmax_m, Rinf_m, ..."
-)
+_EXPECTED = "expected JSON with a list 'experiments' of entries with experiment_id, Rmax_m, Rinf_m, ..."
 
 
 class Sidecar:
@@ -82,13 +80,17 @@ class Sidecar:
         if not isinstance(document, dict):
             raise self._refuse_file(f"it holds a {type(document).__name__}")
         listed = document.pop("experiments", [])
-        if not isinstance(listed, list) or not all(isinstance(entry, dict) for entry in listed):
+        if not isinstance(listed, list) or not all(
+            isinstance(entry, dict) for entry in listed
+        ):
             raise self._refuse_file("'experiments' is no list of entries")
         self.top: Document = document
         self.entries: dict[str, Document] = {}
         for i, entry in enumerate(listed):
             if "experiment_id" not in entry:
-                raise self._refuse_file(f"entry {i + 1} of 'experiments' has no experiment_id")
+                raise self._refuse_file(
+                    f"entry {i + 1} of 'experiments' has no experiment_id"
+                )
             name = str(entry["experiment_id"])
             if name in self.entries:
                 raise self._refuse_file(
@@ -106,7 +108,9 @@ class Sidecar:
         }
         medium = self.top.get("medium")
         self.stated = (
-            Statement.from_json(medium, str(self.path)) if isinstance(medium, dict) else None
+            Statement.from_json(medium, str(self.path))
+            if isinstance(medium, dict)
+            else None
         )
 
     def _refuse_file(self, why: str) -> InputDataError:
@@ -161,7 +165,9 @@ class Sidecar:
                     f"{key} of {where} is {value!r}; expected a number in SI units, or null"
                 )
             if of_camera and not 0.0 < value < math.inf:
-                raise self._refuse_file(f"{key} of {where} is {value}; expected one above 0")
+                raise self._refuse_file(
+                    f"{key} of {where} is {value}; expected one above 0"
+                )
             found[field] = float(value)
         return found
 
@@ -172,7 +178,9 @@ class Sidecar:
         own = self.top if whole else entry
         values = self._read_numbers(self.top, _NUMBERS if whole else _OF_CAMERA, "the file")
         values |= self._read_numbers(entry, _NUMBERS, f"experiment '{name}'")
-        settled = own.get("Rinf_settled", True if own.get("Rinf_sd_m") is not None else None)
+        settled = own.get(
+            "Rinf_settled", True if own.get("Rinf_sd_m") is not None else None
+        )
         if settled is not None and not isinstance(settled, bool):
             raise self._refuse_file(
                 f"experiment '{name}': Rinf_settled is {settled!r}; expected true or false"
@@ -201,7 +209,9 @@ class Sidecar:
         """
         if stated is None:
             return None
-        unknown = ", ".join(sorted({*stated} - {*OVERRIDES})) if isinstance(stated, dict) else ""
+        unknown = (
+            ", ".join(sorted({*stated} - {*OVERRIDES})) if isinstance(stated, dict) else ""
+        )
         if unknown or not isinstance(stated, dict):
             said = f"has the unknown field(s) {unknown}" if unknown else f"is {stated!r}"
             raise self._refuse_file(
@@ -225,7 +235,11 @@ class Sidecar:
         for trace in traces:
             with about_experiment(trace.experiment_id):
                 beside = vars(self.given(trace.experiment_id, alone=alone))
-            own = {name: value for name, value in vars(trace.given).items() if value is not None}
+            own = {
+                name: value
+                for name, value in vars(trace.given).items()
+                if value is not None
+            }
             new.append(replace(trace, given=Given(**beside | own)))
         described = [name for name in traces.ids if name in self.entries]
         notes = []

@@ -29,7 +29,8 @@ class _Property:
 
 
 PROPERTIES = {
-    name: _Property(**{"field": name} | row) for name, row in read_table("properties").items()
+    name: _Property(**{"field": name} | row)
+    for name, row in read_table("properties").items()
 }
 """Name in a statement -> property; ``pressure`` is the ambient pressure."""
 
@@ -110,7 +111,9 @@ class Statement:
             values[key] = (float(parts[0]), float(parts[1]) if len(parts) == 2 else None)
         name = document.get("name", "")
         if not isinstance(name, str):
-            raise InputDataError(f"{where}: medium: name is {name!r}; write the name of a medium.")
+            raise InputDataError(
+                f"{where}: medium: name is {name!r}; write the name of a medium."
+            )
         return cls(name, values, where)
 
     def at(self, temperature: float) -> dict[str, tuple[float, float | None, str]]:
@@ -141,7 +144,9 @@ def _parse_pair(text: str, part: str, where: str) -> Stated:
     return value, rest[0] if rest else None
 
 
-def _check_property(name: str, value: float, sd: float | None, *, widest: float = 0.3) -> None:
+def _check_property(
+    name: str, value: float, sd: float | None, *, widest: float = 0.3
+) -> None:
     """Raise unless a property is known, its value possible in SI units, and its standard deviation
     usable: at most ``widest`` of the value.
     """
@@ -152,7 +157,11 @@ def _check_property(name: str, value: float, sd: float | None, *, widest: float 
     known = PROPERTIES[name]
     if not known.low <= value <= known.high:
         remedy = next(
-            (f" It looks like {text}." for low, high, text in known.other if low <= value <= high),
+            (
+                f" It looks like {text}."
+                for low, high, text in known.other
+                if low <= value <= high
+            ),
             "",
         )
         raise InputDataError(

@@ -30,7 +30,11 @@ def read_text(path: Path) -> Content:
         InputDataError: if the file is no text, has no rows, rows of different lengths, a field that
             no number or name fills, or two columns of one name.
     """
-    lines = [(i, line) for i, line in enumerate(_decode_text(path).splitlines(), 1) if line.strip()]
+    lines = [
+        (i, line)
+        for i, line in enumerate(_decode_text(path).splitlines(), 1)
+        if line.strip()
+    ]
     if lines and _SEPARATOR.fullmatch(lines[0][1].strip()):  # of spreadsheets
         lines = lines[1:]
     comments = [line.lstrip("#% \t") for _, line in lines if line.startswith(("#", "%"))]
@@ -40,7 +44,9 @@ def read_text(path: Path) -> Content:
     mark = _find_mark(lines[0][1], lines[-1][1])
     rows = [(i, _split_line(path, i, line, mark)) for i, line in lines]
     first, row = rows[0]
-    if mark is None and len(rows) > 1 and len(row) != len(rows[1][1]):  # blanks within names
+    if (
+        mark is None and len(rows) > 1 and len(row) != len(rows[1][1])
+    ):  # blanks within names
         row = re.split(r"\s{2,}", lines[0][1].strip())
         rows[0] = (first, row)
     comma = mark != ","
@@ -85,7 +91,9 @@ def _split_line(path: Path, number: int, line: str, mark: str | None) -> list[st
     if mark is None:
         return line.split()
     try:
-        cells = next(csv.reader([line], delimiter=mark)) if '"' in line else line.split(mark)
+        cells = (
+            next(csv.reader([line], delimiter=mark)) if '"' in line else line.split(mark)
+        )
     except csv.Error as error:
         raise InputDataError(
             f"{path}: row {number} cannot be divided into fields ({error}); close every "
@@ -122,7 +130,11 @@ def table_content(
     names = first if has_header else [str(i + 1) for i in range(len(first))]
     body = rows[has_header:]
     units: list[str] = []
-    if has_header and len(body) > 1 and _is_unit_row(body[0][1], body[1][1], len(names), comma):
+    if (
+        has_header
+        and len(body) > 1
+        and _is_unit_row(body[0][1], body[1][1], len(names), comma)
+    ):
         units = body[0][1]
         body = body[1:]
     body = [(line, row) for line, row in body if any(row)]
@@ -132,7 +144,9 @@ def table_content(
         )
     for line, row in body:
         if len(row) != len(names):
-            decimal = " If the numbers have decimal commas, divide the columns by semicolons."
+            decimal = (
+                " If the numbers have decimal commas, divide the columns by semicolons."
+            )
             raise InputDataError(
                 f"{path}: row {line} has {len(row)} field(s) and the first row {len(names)}; "
                 "write every row with the same columns (a lost frame as NaN)."
@@ -165,7 +179,9 @@ def _read_column(cells: Sequence[str], comma: bool) -> np.ndarray | list[str]:
 def _is_unit_row(row: list[str], below: list[str], width: int, comma: bool) -> bool:
     """Whether a row below the header is one of units: no number in it, and numbers below it."""
     worded = any(row) and not any(_are_numbers([cell], comma) for cell in row if cell)
-    return len(row) == width and worded and any(_are_numbers([x], comma) for x in below if x)
+    return (
+        len(row) == width and worded and any(_are_numbers([x], comma) for x in below if x)
+    )
 
 
 def is_workbook(path: Path, head: bytes) -> bool:
@@ -197,7 +213,9 @@ def read_workbook(path: Path) -> list[Content]:
     try:
         book = openpyxl.load_workbook(path, read_only=True, data_only=True)
         sheets = {
-            sheet.title: [[_cell_text(x) for x in row] for row in sheet.iter_rows(values_only=True)]
+            sheet.title: [
+                [_cell_text(x) for x in row] for row in sheet.iter_rows(values_only=True)
+            ]
             for sheet in book.worksheets
         }
         book.close()
@@ -212,8 +230,16 @@ def read_workbook(path: Path) -> list[Content]:
     contents = []
     for title, rows in filled.items():
         width = max(map(len, rows))
-        square = [(i, row + [""] * (width - len(row))) for i, row in enumerate(rows, 1) if any(row)]
-        place = path if len(filled) == 1 else path.with_name(f"{path.stem} {title}{path.suffix}")
+        square = [
+            (i, row + [""] * (width - len(row)))
+            for i, row in enumerate(rows, 1)
+            if any(row)
+        ]
+        place = (
+            path
+            if len(filled) == 1
+            else path.with_name(f"{path.stem} {title}{path.suffix}")
+        )
         contents.append(table_content(place, square))
     return contents
 

@@ -57,9 +57,16 @@ class Override:
 
     def __post_init__(self) -> None:
         lengths = ("max_radius_m", "max_radius_sd_m", "rest_radius_m", "rest_radius_sd_m")
-        check_fields(self, is_positive, "a positive length in m, or None", *lengths, optional=True)
         check_fields(
-            self, math.isfinite, "seconds, or None", "time_of_max_s", "window_end_s", optional=True
+            self, is_positive, "a positive length in m, or None", *lengths, optional=True
+        )
+        check_fields(
+            self,
+            math.isfinite,
+            "seconds, or None",
+            "time_of_max_s",
+            "window_end_s",
+            optional=True,
         )
         for value in ("max_radius_m", "rest_radius_m"):
             sd = value.replace("_m", "_sd_m")
@@ -116,7 +123,9 @@ class Given:
             (("time_of_max_s",), math.isfinite, "seconds"),
             (sds, lambda sd: 0.0 <= sd < math.inf, "a length in m >= 0"),
         ):
-            check_fields(self, fits, f"{expected}, or None if unknown", *names, optional=True)
+            check_fields(
+                self, fits, f"{expected}, or None if unknown", *names, optional=True
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,9 +213,7 @@ class RadiusTrace:
         text = "{:g}; a radius is positive: leave out frames without a bubble."
         self._refuse_sample(radius <= 0.0, "radius_m", text)
         backwards = torch.nn.functional.pad(time.diff(), (1, 0), value=1.0) <= 0.0
-        text = (
-            "{:g} after {:g}; times must increase strictly: remove the duplicate, or sort the rows."
-        )
+        text = "{:g} after {:g}; times must increase strictly: remove the duplicate, or sort the rows."
         self._refuse_sample(backwards, "time_s", text)
 
     def _check_units(self) -> None:
@@ -380,11 +387,15 @@ class TraceSet:
                     before = f"{file.parent.name}/" if folder else f"{file.stem}:"
                     new[t.source, t.experiment_id] = f"{before}{t.experiment_id}"
             traces = [
-                replace(t, experiment_id=new.get((t.source, t.experiment_id), t.experiment_id))
+                replace(
+                    t, experiment_id=new.get((t.source, t.experiment_id), t.experiment_id)
+                )
                 for t in traces
             ]
             left_out = [
-                replace(x, experiment_id=new.get((x.file, x.experiment_id), x.experiment_id))
+                replace(
+                    x, experiment_id=new.get((x.file, x.experiment_id), x.experiment_id)
+                )
                 for x in left_out
             ]
             notes += [

@@ -207,7 +207,9 @@ def _take_branch(curve: SmoothCurve, side: int) -> SmoothCurve:
     return SmoothCurve(*(values[rows][::-1] for values in vars(curve).values()))
 
 
-def _read_pressures(branch: SmoothCurve, levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _read_pressures(
+    branch: SmoothCurve, levels: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Wall pressure at levels of one branch, and its error; NaN outside of it."""
     read = partial(np.interp, levels, branch.y, left=np.nan, right=np.nan)
     return read(branch.p), read(branch.p_sd)

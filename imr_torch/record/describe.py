@@ -97,7 +97,9 @@ class Record:
 
     def sentences(self) -> tuple[str, ...]:
         """What is seen, in words."""
-        chord, skewness = (x[np.isfinite(x)] for x in map(self.first, ("chord", "skewness")))
+        chord, skewness = (
+            x[np.isfinite(x)] for x in map(self.first, ("chord", "skewness"))
+        )
         text = render(
             "record.txt",
             record=self,
@@ -159,7 +161,8 @@ def describe_record(
     outer = surroundings or Surroundings()
     shots = [
         ShotRecord(
-            trace.experiment_id, describe_cycles(trace, find_landmarks(trace), outer, options)
+            trace.experiment_id,
+            describe_cycles(trace, find_landmarks(trace), outer, options),
         )
         for trace in traces
     ]
@@ -173,11 +176,15 @@ def _with_odd(shots: list[ShotRecord], options: RecordOptions) -> list[ShotRecor
     if np.isfinite(sizes).sum() < FEWEST:
         return shots
     chances = {}
-    for name, scatter in zip(("chord", "skewness", "viscosity"), options.scatter, strict=True):
+    for name, scatter in zip(
+        ("chord", "skewness", "viscosity"), options.scatter, strict=True
+    ):
         values = record.first(name)
         if name == "viscosity":
             scatter *= float(np.nanmedian(np.abs(values)))
-            values[np.isnan(record.first("skewness"))] = np.nan  # the collapse says little of it
+            values[np.isnan(record.first("skewness"))] = (
+                np.nan
+            )  # the collapse says little of it
         chances[name] = odd_probabilities(
             values, record.first(f"{name}_sd"), sizes, options, scatter=scatter
         )

@@ -34,7 +34,9 @@ def record_figure(record: Mapping[str, Any]) -> Figure:
         axes[panel].set(xlabel="$R_k$ (µm)", ylabel=label)
     keys = [axes[panel].get_legend_handles_labels() for panel in "PV"]
     handles, labels = (lines + cycles for lines, cycles in zip(*keys, strict=True))
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=8)
+    figure.legend(
+        handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=8
+    )
     return figure
 
 
@@ -57,7 +59,9 @@ def _plot_pressure(record: Mapping[str, Any], ax: Axes, *, most_bands: int = 6) 
             levels, p, sd = (floats(cycle[key]) for key in ("levels", name, f"{name}_sd"))
             ax.plot(levels, p, color=color, lw=0.8, ls=style)
             if len(shots) <= most_bands:
-                ax.fill_between(levels, p - 1.64 * sd, p + 1.64 * sd, color=color, alpha=0.12, lw=0)
+                ax.fill_between(
+                    levels, p - 1.64 * sd, p + 1.64 * sd, color=color, alpha=0.12, lw=0
+                )
             drawn += p[np.isfinite(p)].tolist()
     low, high = np.quantile(drawn, (0.05, 0.95))
     margin = 0.15 * (high - low) + 0.1

@@ -59,9 +59,13 @@ def campaign_document(
         "intervals": {part.model: intervals(part) for part in belief.models},
         "noise": vars(campaign.plan.noise),
         "belief": belief.to_dict(),
-        "history": [{"label": label, "belief": _without_cloud(step)} for label, step in history],
+        "history": [
+            {"label": label, "belief": _without_cloud(step)} for label, step in history
+        ],
         "truth": truth,
-        "findings": [{"step": s.number} | asdict(s.finding) for s in campaign.steps if s.finding],
+        "findings": [
+            {"step": s.number} | asdict(s.finding) for s in campaign.steps if s.finding
+        ],
         "proposals": [
             {
                 "step": proposal.step,
@@ -123,8 +127,12 @@ def _document_curves(campaign: Campaign) -> list[Document]:
     outer = campaign.simulator.conditions.surroundings
     shots = last.assimilation.batch.experiments
     # frames do not show a collapse
-    drawn = torch.stack([linspace(float(x.times[0]), float(x.times[-1]), 400) for x in shots])
-    band = predictive_band(last.assimilation, last.belief, campaign.simulator, best, times=drawn)
+    drawn = torch.stack(
+        [linspace(float(x.times[0]), float(x.times[-1]), 400) for x in shots]
+    )
+    band = predictive_band(
+        last.assimilation, last.belief, campaign.simulator, best, times=drawn
+    )
     found = []
     for e, (number, experiment) in enumerate(zip(campaign.numbers, shots, strict=True)):
         shot = describe_shot(experiment, outer)

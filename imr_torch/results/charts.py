@@ -34,7 +34,9 @@ def radius_chart(document: Document) -> Axes:
     ax.plot(document["t_star"], document["R_star"], color=MODEL, lw=1.5)
     ax.set(xlabel=T_STAR, ylabel=R_STAR, ylim=(0.0, None))
     last = document["t_star"][-1]
-    add_lengths(ax, document["design"]["Rmax_m"], document["time_s"][-1] / last if last else 1.0)
+    add_lengths(
+        ax, document["design"]["Rmax_m"], document["time_s"][-1] / last if last else 1.0
+    )
     return ax
 
 
@@ -46,7 +48,9 @@ def campaign_curve(curve: Document) -> Axes:
     ax.plot(curve["t_star"], rows.T, ".", ms=3, color=DATA, alpha=alpha)
     band = curve["band"]
     fill_band(ax, band)
-    ax.plot(floats(band["t_star"]), floats(band["median"]), color=MODEL, lw=1.5, label="median")
+    ax.plot(
+        floats(band["t_star"]), floats(band["median"]), color=MODEL, lw=1.5, label="median"
+    )
     add_legend(ax)
     ax.set(xlabel=T_STAR, ylabel=R_STAR, ylim=(0.0, None))
     add_lengths(ax, curve["Rmax_m"], curve["time_scale_s"])
@@ -82,7 +86,9 @@ def curve_figure(curve: Document, document: Document) -> Figure:
         text = f"{hidden} more frames not shown"
         ax.annotate(text, (0.99, 0.03), xycoords="axes fraction", ha="right", fontsize=7)
     margin = 0.02 * (last - first)
-    ax.set(ylim=(0.0, 1.08 * max(1.0, float(r.max()))), xlim=(first - margin, last + margin))
+    ax.set(
+        ylim=(0.0, 1.08 * max(1.0, float(r.max()))), xlim=(first - margin, last + margin)
+    )
     add_legend(ax, ncols=2, loc="upper right")
     if last > 1.02 * end:
         for panel in (ax, below):
@@ -104,7 +110,9 @@ def _plot_models(curve: Document, probabilities: Mapping[str, float], ax: Axes) 
             if probabilities[key] < 0.02:  # too improbable to be drawn
                 continue
             style = {"color": next(colors, PALE), "lw": 1.0, "ls": "--"}
-        times, radius = (floats(curve["models"][key][name]) for name in ("t_star", "R_star"))
+        times, radius = (
+            floats(curve["models"][key][name]) for name in ("t_star", "R_star")
+        )
         ax.plot(times, radius, label=material(key).title, zorder=3, **style)
 
 
@@ -156,7 +164,9 @@ def causes_chart(findings: Sequence[Document]) -> Axes:
     ax = new_axes((5.8, 3.6))
     steps = [found["step"] for found in findings]
     rows = [found["probabilities"] for found in findings]
-    largest = {name: max(row.get(name, 0.0) for row in rows) for row in rows for name in row}
+    largest = {
+        name: max(row.get(name, 0.0) for row in rows) for row in rows for name in row
+    }
     shown = sorted((n for n in largest if largest[n] >= 0.02), key=lambda n: -largest[n])
     for name, marker in zip(shown, "osD^vP", strict=False):
         values = [row.get(name, 0.0) if row else np.nan for row in rows]
@@ -173,4 +183,8 @@ def causes_chart(findings: Sequence[Document]) -> Axes:
 
 def _measured_frames(curve: Document) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     seen = curve["measured"]
-    return floats(seen["t_star"]), floats(seen["R_star"]), np.asarray(seen["fitted"], dtype=bool)
+    return (
+        floats(seen["t_star"]),
+        floats(seen["R_star"]),
+        np.asarray(seen["fitted"], dtype=bool),
+    )

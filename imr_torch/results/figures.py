@@ -66,7 +66,8 @@ def draw_figures(document: Document) -> list[NamedFigure]:
         figures = list(_FIGURES[kind](document))
         if is_explained(document) is False or document.get("misfits"):
             figures = [
-                x if x.name.startswith(_WITHOUT_FIT) else replace(x, note=note) for x in figures
+                x if x.name.startswith(_WITHOUT_FIT) else replace(x, note=note)
+                for x in figures
             ]
         return figures
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
@@ -83,7 +84,9 @@ def kind_of(document: Document) -> str:
     >>> kind_of(header("design"))
     'design'
     """
-    if "verdict" in document and "examined" in document:  # a diagnosis, with or without a header
+    if (
+        "verdict" in document and "examined" in document
+    ):  # a diagnosis, with or without a header
         return "diagnose"
     return str(document.get("schema", {}).get("name", "")).removeprefix("imr_torch ")
 
@@ -116,9 +119,13 @@ def _characterization_figures(document: Document) -> Iterator[NamedFigure]:
         yield name_figure("characterize.parameter", plot_parameter, shown, name, name=name)
     if len(names) > 1:
         title = material(best).title
-        yield name_figure("characterize.parameters", draw_parameters, belief[best], title=title)
+        yield name_figure(
+            "characterize.parameters", draw_parameters, belief[best], title=title
+        )
     if document.get("population"):
-        yield name_figure("characterize.population", population_figure, document["population"])
+        yield name_figure(
+            "characterize.population", population_figure, document["population"]
+        )
     if len(belief.keys) > 1:
         both = (("prior", prior), ("posterior", belief))
         yield name_figure("characterize.models", plot_probabilities, both)
@@ -129,13 +136,17 @@ def _campaign_figures(document: Document) -> Iterator[NamedFigure]:
     findings = document.get("findings") or []
     if any(found["probabilities"] for found in findings):
         yield name_figure("campaign.causes", causes_chart, findings)
-    history = [(step["label"], Belief.from_dict(step["belief"])) for step in document["history"]]
+    history = [
+        (step["label"], Belief.from_dict(step["belief"])) for step in document["history"]
+    ]
     best = history[-1][1].best
     truth = document.get("truth") or {}
     if len(history[-1][1].models) > 1 or not findings:
         yield name_figure("campaign.models", plot_probabilities, history)
     # of a parameter the prior and the last three beliefs
-    shown = [(label, belief[best.model]) for label, belief in (history[0], *history[1:][-3:])]
+    shown = [
+        (label, belief[best.model]) for label, belief in (history[0], *history[1:][-3:])
+    ]
     for name in best.names:
         plot = partial(plot_parameter, truth=truth.get(name))
         dashed = " Dashed: the truth." * (name in truth)
@@ -151,7 +162,11 @@ def _design_figures(document: Document) -> Iterator[NamedFigure]:
     for number, step in enumerate([document, *document.get("further", ())], start=1):
         behind = "" if number == 1 else f"_{number}"
         yield name_figure(
-            "design.information", draw_information, step, number=behind, design=step["design"]
+            "design.information",
+            draw_information,
+            step,
+            number=behind,
+            design=step["design"],
         )
 
 

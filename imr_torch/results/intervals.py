@@ -43,7 +43,9 @@ def is_usable(row: Document) -> bool:
 
 def parameters_of(rows: Sequence[Document]) -> list[str]:
     """Parameters that some shot has."""
-    return [name for name in PARAMETERS.names if any(row.get(name) is not None for row in rows)]
+    return [
+        name for name in PARAMETERS.names if any(row.get(name) is not None for row in rows)
+    ]
 
 
 def plot_shots(rows: Sequence[Document], name: str) -> Axes:
@@ -58,7 +60,9 @@ def plot_shots(rows: Sequence[Document], name: str) -> Axes:
     scale = PARAMETERS[name].display_scale
     rows = [row for row in rows if row.get(name) is not None]
     ax = new_axes((min(4.0 + 0.22 * len(rows), 12.0), 3.4))
-    values = scale * floats([[row[f"{name}_low"], row[name], row[f"{name}_high"]] for row in rows])
+    values = scale * floats(
+        [[row[f"{name}_low"], row[name], row[f"{name}_high"]] for row in rows]
+    )
     good = np.array([is_usable(row) for row in rows])
     places = np.arange(len(rows))
     for color, chosen in ((MODEL, good), (TRUTH, ~good)):
@@ -83,7 +87,9 @@ def plot_ratios(document: Document) -> Axes:
         document: of ``compare``.
     """
     rows = document["parameters"]
-    values = floats([[row[f"ratio_{end}"] for end in ("low", "median", "high")] for row in rows])
+    values = floats(
+        [[row[f"ratio_{end}"] for end in ("low", "median", "high")] for row in rows]
+    )
     ax = new_axes((5.2, 1.2 + 0.4 * len(rows)))
     places = range(len(rows))
     draw_intervals(ax, places, values, capsize=3, color=MODEL)
@@ -137,7 +143,9 @@ def over_time_figure(stretches: Sequence[Document], whole: Document) -> Figure:
         values = scale * floats([row["intervals"][name] for row in stretches])
         draw_intervals(ax, middle, values, upright=True, capsize=2, color=MODEL)
         ax.hlines(values[:, 1], *times.T, color=MODEL, lw=1.0)
-        ax.axhspan(scale * whole[name][0], scale * whole[name][2], color=PALE, alpha=0.4, lw=0)
+        ax.axhspan(
+            scale * whole[name][0], scale * whole[name][2], color=PALE, alpha=0.4, lw=0
+        )
         set_scale(ax, "y", values.min(), values.max(), ratio=NARROW)
         ax.set_ylabel(PARAMETERS[name].label)
     axes[-1, 0].set_xlabel(T_STAR)
@@ -189,6 +197,8 @@ def population_figure(found: Document) -> Figure:
             title = "scatter {1:.2f} ({0:.2f} to {2:.2f})".format(*entry["scatter"])
             ax.set_title(title, fontsize=9)
     labels = [plain(shot["id"], 24) for shot in shots]
-    axes[0, 0].set_yticks(range(len(shots)), labels, fontsize=8 if len(shots) <= MANY_SHOTS else 5)
+    axes[0, 0].set_yticks(
+        range(len(shots)), labels, fontsize=8 if len(shots) <= MANY_SHOTS else 5
+    )
     axes[0, 0].set_ylim(len(shots) - 0.5, -0.5)
     return figure

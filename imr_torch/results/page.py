@@ -43,7 +43,9 @@ def document_report(document: Document) -> str:
     Shoot We = 400, R_inf* = 0.200 (Rmax = 570 um, R_inf = 114 um)
     expected information gain 3.200 +- 0.100 nats
     """
-    return _fill_template(f"{_check_kind(document)}.txt", **_list_names(document)).strip("\n")
+    return _fill_template(f"{_check_kind(document)}.txt", **_list_names(document)).strip(
+        "\n"
+    )
 
 
 def document_page(document: Document, *, title: str = "", report: str = "") -> str:
@@ -71,13 +73,16 @@ def document_page(document: Document, *, title: str = "", report: str = "") -> s
     return _fill_template(
         f"{kind}.html",
         **names,
-        title=title or TITLES[kind].format(files=_name_files(document) or "the given curves"),
+        title=title
+        or TITLES[kind].format(files=_name_files(document) or "the given curves"),
         drawn=_draw_pictures(figure for figure in figures if figure not in of_curves[6:]),
         report=report or _fill_template(f"{kind}.txt", **names),
     )
 
 
-def write_page(document: Document, path: str | Path, *, title: str = "", report: str = "") -> None:
+def write_page(
+    document: Document, path: str | Path, *, title: str = "", report: str = ""
+) -> None:
     """Write a result as a page of HTML, atomically, and say so.
 
     Args:
@@ -153,7 +158,11 @@ def _draw_pictures(figures: Iterable[NamedFigure]) -> dict[str, list[Any]]:
 
 def _name_files(document: Document) -> str:
     """The files whose curves were fitted; all tables where the result does not say it."""
-    names = [x["name"] for x in document.get("files", ()) if not x["name"].endswith(".json")]
+    names = [
+        x["name"] for x in document.get("files", ()) if not x["name"].endswith(".json")
+    ]
     fitted = {curve.get("source") for curve in document.get("curves", ())}
-    chosen = [] if document.get("collapse_times") else [name for name in names if name in fitted]
+    chosen = (
+        [] if document.get("collapse_times") else [name for name in names if name in fitted]
+    )
     return ", ".join(chosen or names)

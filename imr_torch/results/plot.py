@@ -38,7 +38,9 @@ _LEVELS = linspace(0.002, 0.998, 400)  # of a density
 def fill_band(ax: Axes, band: Document) -> None:
     """Draw a 90 % predictive band: ``t_star``, ``low`` and ``high``."""
     times, low, high = (floats(band[name]) for name in ("t_star", "low", "high"))
-    ax.fill_between(times, low, high, color=MODEL, alpha=0.22, lw=0, label="90 % predictive")
+    ax.fill_between(
+        times, low, high, color=MODEL, alpha=0.22, lw=0, label="90 % predictive"
+    )
 
 
 def plot_parameter(

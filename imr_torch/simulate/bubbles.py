@@ -26,7 +26,11 @@ from imr_torch.material import (
     StressTerm,
     dimensionless,
 )
-from imr_torch.simulate.conditions import SATURATION_PREFACTOR, SATURATION_TEMPERATURE, Conditions
+from imr_torch.simulate.conditions import (
+    SATURATION_PREFACTOR,
+    SATURATION_TEMPERATURE,
+    Conditions,
+)
 from imr_torch.simulate.setting import MEDIUM, Setting
 from imr_torch.types import BubbleValues
 from imr_torch.units import Number
@@ -172,8 +176,15 @@ class Numbers(NamedTuple):
         beside = setting.saturation if gas.vapour else nothing
         inside = nothing if kind == "absent" else setting.saturation
         capacity = 1.0 if medium.capacity_of == "gas_wall" else medium.heat_capacity
-        chi = warm * conductivity_at(warm, conditions) / (outer.far_field_pressure * speed) / size
-        prefactor = SATURATION_PREFACTOR / (outer.far_field_pressure * conditions.saturation)
+        chi = (
+            warm
+            * conductivity_at(warm, conditions)
+            / (outer.far_field_pressure * speed)
+            / size
+        )
+        prefactor = SATURATION_PREFACTOR / (
+            outer.far_field_pressure * conditions.saturation
+        )
         numbers = cls(
             rest_radius=rest,
             tension=setting.tension,
@@ -312,7 +323,9 @@ class Bubbles:
         for term in self.terms:
             rate = term.relaxation_rate(self.theta)
             if rate is not None:
-                fastest = fastest.maximum(torch.where(self.theta[term.switch] == 0.0, 0.0, rate))
+                fastest = fastest.maximum(
+                    torch.where(self.theta[term.switch] == 0.0, 0.0, rate)
+                )
         return fastest
 
     def acting(self, kind: str) -> list[tuple[Law, list[BubbleValues]]]:

@@ -106,7 +106,9 @@ def hermite_quintic(
     c3 = where(early, 0.0, 10.0 * d - 4.0 * e + 0.5 * f)
     c4 = where(early, 0.0, -15.0 * d + 7.0 * e - f)
     c5 = where(early, 0.0, 6.0 * d - 3.0 * e + 0.5 * f)
-    value = r0 + share * (u0 + share * (0.5 * a0 + share * (c3 + share * (c4 + share * c5))))
+    value = r0 + share * (
+        u0 + share * (0.5 * a0 + share * (c3 + share * (c4 + share * c5)))
+    )
     slope = u0 + share * (a0 + share * (3.0 * c3 + share * (4.0 * c4 + share * 5.0 * c5)))
     return value, slope / step
 
@@ -139,7 +141,11 @@ def bracket_times(
         Number of the node at its end, its length, and the share of it that has passed.
     """
     first = (nodes <= nodes[:, :1]).sum(1, keepdim=True)  # the first node after the start
-    end = torch.searchsorted(nodes, times.contiguous()).maximum(first).clamp(1, nodes.shape[1] - 1)
+    end = (
+        torch.searchsorted(nodes, times.contiguous())
+        .maximum(first)
+        .clamp(1, nodes.shape[1] - 1)
+    )
     before = nodes.gather(1, end - 1)
     step = (nodes.gather(1, end) - before).clamp_min(torch.finfo(times.dtype).tiny)
     return end, step, (times - before) / step

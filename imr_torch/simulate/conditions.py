@@ -267,6 +267,8 @@ class Conditions:
 
 PRESETS: dict[str, Conditions] = {
     "published": Conditions(),
-    "authors_code": Conditions(medium=Medium(capacity_of="gas_wall"), stress_acceleration=False),
+    "authors_code": Conditions(
+        medium=Medium(capacity_of="gas_wall"), stress_acceleration=False
+    ),
 }
 """Named conditions: the equations of Estrada et al. (2018), and what the published code of Chu et al. solves."""

@@ -165,7 +165,10 @@ def pressure_rate(
     source = (
         c.heat_ratio - 1.0
     ) * b.chi_gas * heat + c.heat_ratio * c.vapour_constant * wall.flux_factor * vapour
-    return 3.0 / radius * (source / radius - c.heat_ratio * pressure * velocity) - pressure * lost
+    return (
+        3.0 / radius * (source / radius - c.heat_ratio * pressure * velocity)
+        - pressure * lost
+    )
 
 
 class Point(NamedTuple):
@@ -222,10 +225,14 @@ def flux_slopes(at: Point, corner: Scalar, c: Constants) -> tuple[Scalar, Scalar
     """
     flux = at.wall.flux_factor * at.vapour
     by_vapour = flux * (
-        1.0 / (1.0 - at.wall.vapour) - (c.vapour_constant - c.air_constant) / at.wall.mixture
+        1.0 / (1.0 - at.wall.vapour)
+        - (c.vapour_constant - c.air_constant) / at.wall.mixture
     )
     by_vapour = by_vapour + at.wall.flux_factor * corner
-    return flux / at.pressure + by_vapour * at.wall.vapour_pressure, by_vapour * at.wall.vapour_heat
+    return (
+        flux / at.pressure + by_vapour * at.wall.vapour_pressure,
+        by_vapour * at.wall.vapour_heat,
+    )
 
 
 def pressure_rate_slopes(
@@ -262,7 +269,9 @@ def wall_balance_slopes(
     """Derivatives of :func:`wall_balance`; ``outer_corner`` is ``d theta'/d theta`` at the wall."""
     zero = 0.0 * at.pressure
     if not c.warm:
-        return Balance(zero, zero, zero, zero, -1.0 / at.wall.conductivity, zero, zero, zero)
+        return Balance(
+            zero, zero, zero, zero, -1.0 / at.wall.conductivity, zero, zero, zero
+        )
     by_pressure, by_wall = flux_slopes(at, corner, c)
     latent = c.latent_heat / at.wall.temperature
     outer = b.chi * c.conductivity
@@ -441,18 +450,23 @@ def gel_slopes(node: GelNode, at: Point, b: Numbers, c: Constants) -> GelSlopes:
     inverse = 1.0 / at.radius
     strain = at.velocity * inverse
     second = b.foh / at.wall.capacity * inverse * inverse
-    heat = b.heating / at.wall.capacity * strain * inverse * node.shear  # viscous heating over U
+    heat = (
+        b.heating / at.wall.capacity * strain * inverse * node.shear
+    )  # viscous heating over U
     conduction = second * node.bend
     advection = node.stretching * node.slope * inverse
     thinned = (
-        (c.vapour_constant - c.air_constant) / at.wall.mixture * (conduction + at.velocity * heat)
+        (c.vapour_constant - c.air_constant)
+        / at.wall.mixture
+        * (conduction + at.velocity * heat)
     )
     if not c.gas_capacity:
         thinned = 0.0 * thinned
     return GelSlopes(
         first=-strain * node.stretching,
         second=second,
-        radius=inverse * (at.velocity * advection - 2.0 * (conduction + at.velocity * heat)),
+        radius=inverse
+        * (at.velocity * advection - 2.0 * (conduction + at.velocity * heat)),
         velocity=2.0 * heat - advection,
         pressure=-thinned * at.wall.vapour_pressure,
         wall=-thinned * at.wall.vapour_heat,

@@ -19,7 +19,9 @@ from imr_torch.errors import InputDataError
 from imr_torch.types import Values
 
 
-def evaluate_spline(time: Scalar, knots: Scalar, cubics: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+def evaluate_spline(
+    time: Scalar, knots: Scalar, cubics: Scalar
+) -> tuple[Scalar, Scalar, Scalar]:
     """A cubic a piece (``cubics``, ``4 x n-1``, highest power first) between ``n`` knots, constant
     outside; with its first two derivatives.
     """
@@ -35,7 +37,11 @@ def evaluate_spline(time: Scalar, knots: Scalar, cubics: Scalar) -> tuple[Scalar
     rate = (3.0 * a * s + 2.0 * b) * s + c
     bend = 6.0 * a * s + 2.0 * b
     outside = early | late
-    return ((a * s + b) * s + c) * s + d, where(outside, 0.0, rate), where(outside, 0.0, bend)
+    return (
+        ((a * s + b) * s + c) * s + d,
+        where(outside, 0.0, rate),
+        where(outside, 0.0, bend),
+    )
 
 
 @dataclass(frozen=True)

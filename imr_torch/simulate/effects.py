@@ -26,7 +26,9 @@ def heat_exchange(setting: Setting, factor: Scalar) -> Setting:
     share = (setting.exponent - 1.0) / (setting.adiabatic - 1.0)
     moved = 1.0 + (setting.adiabatic - 1.0) * share * less / (1.0 - share + share * less)
     exponent = torch.where((factor == 0.0) | (share > 1.0), setting.exponent, moved)
-    return setting._replace(conduction=setting.conduction * torch.exp(factor), exponent=exponent)
+    return setting._replace(
+        conduction=setting.conduction * torch.exp(factor), exponent=exponent
+    )
 
 
 def vapour_pressure(setting: Setting, excess: Scalar) -> Setting:
@@ -39,7 +41,9 @@ def condensation(compression: Scalar, trapped: Scalar) -> Scalar:
     return power(compression, trapped)
 
 
-def gas_loss(radius: Scalar, velocity: Scalar, rest_radius: Scalar, share: Scalar) -> Scalar:
+def gas_loss(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, share: Scalar
+) -> Scalar:
     """Gas is lost while ``R < R_inf``: ``-n'/n = eta |U|/R (1 - R/R_inf)^2``."""
     depth = 1.0 - radius / rest_radius
     depth = where(real(depth) > 0.0, depth, 0.0)
@@ -73,7 +77,9 @@ def hot_contents(setting: Setting, excess: Scalar) -> Setting:
     return setting._replace(warmth=setting.warmth + excess)
 
 
-def rinf_drift(radius: Scalar, velocity: Scalar, rest_radius: Scalar, drift: Scalar) -> Scalar:
+def rinf_drift(
+    radius: Scalar, velocity: Scalar, rest_radius: Scalar, drift: Scalar
+) -> Scalar:
     """Gas comes or goes all the time, ``n'/n = 3 d``: the radius at which isothermal gas rests
     changes as ``exp(d t)``.
 
@@ -133,7 +139,11 @@ def shape_modes(
     square = velocity * velocity
     speed = sqrt(square + SMOOTH * SMOOTH)
     value = -share * velocity * speed
-    return value, -2.0 * value * radius * velocity / total, -share * (square / speed + speed)
+    return (
+        value,
+        -2.0 * value * radius * velocity / total,
+        -share * (square / speed + speed),
+    )
 
 
 register_term(StressTerm(shape_modes, switch="energy_loss", odd=("energy_loss",)))

@@ -91,7 +91,9 @@ def chebyshev_inside(n: int, stretch: float) -> Grid:
     eta, slope = _chebyshev_nodes(2 * n + 1)
     curvature = slope @ slope
     half = slice(0, n + 1)
-    slope, curvature = (m[half, half] + m[half, n + 1 :].flip(1) for m in (slope, curvature))
+    slope, curvature = (
+        m[half, half] + m[half, n + 1 :].flip(1) for m in (slope, curvature)
+    )
     return _make_grid(*_crowd_nodes(eta[half], slope, curvature, stretch))
 
 
@@ -134,7 +136,9 @@ def _map_outside(xi: Tensor, slope: Tensor, curvature: Tensor, reach: float) -> 
         -(1.0 + xi) / reach,
     )  # d xi/dy, and its derivative in xi
     first = rate[:, None] * slope
-    return _make_grid(y, first, rate[:, None] * (bend[:, None] * slope + rate[:, None] * curvature))
+    return _make_grid(
+        y, first, rate[:, None] * (bend[:, None] * slope + rate[:, None] * curvature)
+    )
 
 
 def _make_grid(y: Tensor, first: Tensor, second: Tensor) -> Grid:

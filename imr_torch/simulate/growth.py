@@ -115,6 +115,8 @@ def _join_halves(
         times=times.expand(after.radius.shape),
         radius=torch.where(early, before.radius.flip(-1), after.radius),
         velocity=torch.where(early, -before.velocity.flip(-1), after.velocity),
-        bubble_pressure=torch.where(early, before.bubble_pressure.flip(-1), after.bubble_pressure),
+        bubble_pressure=torch.where(
+            early, before.bubble_pressure.flip(-1), after.bubble_pressure
+        ),
         status=torch.maximum(after.status, before.status),
     )

@@ -47,7 +47,9 @@ def linearise_equations(
     return jacobian, slopes[4, 0]
 
 
-def _fill_balances(equations: Equations, f: Fields, rate_row: Tensor, wall_row: Tensor) -> None:
+def _fill_balances(
+    equations: Equations, f: Fields, rate_row: Tensor, wall_row: Tensor
+) -> None:
     """Derivatives of ``q`` and of the wall's balance of heat in the state."""
     b = equations.bubbles.numbers
     c = equations.bubbles.constants
@@ -64,7 +66,9 @@ def _fill_balances(equations: Equations, f: Fields, rate_row: Tensor, wall_row: 
         row[equations.gel] = s.outer * by_outer[1:]
 
 
-def _fill_inside(equations: Equations, f: Fields, jacobian: Tensor, by_rate: Tensor) -> None:
+def _fill_inside(
+    equations: Equations, f: Fields, jacobian: Tensor, by_rate: Tensor
+) -> None:
     """Derivatives of the rates of ``tau`` and ``C`` in the state, and in ``q``."""
     b = equations.bubbles.numbers
     c = equations.bubbles.constants

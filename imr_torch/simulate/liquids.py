@@ -24,7 +24,11 @@ def constant_density(pressure: Scalar, slowness: Scalar) -> tuple[Scalar, Scalar
 
 
 def noble_abel(
-    pressure: Scalar, slowness: Scalar, exponent: Scalar, stiffness: Scalar, covolume: Scalar
+    pressure: Scalar,
+    slowness: Scalar,
+    exponent: Scalar,
+    stiffness: Scalar,
+    covolume: Scalar,
 ) -> tuple[Scalar, Scalar, Scalar]:
     """``(p + B) (w - b)^n`` is constant; ``b = 0`` is Tait's law.
 
@@ -182,6 +186,7 @@ class MieGruneisen(Liquid):
 
 
 LIQUIDS: dict[str, Liquid] = {
-    liquid.key: liquid for liquid in (ConstantDensity(), Tait(), NobleAbel(), MieGruneisen())
+    liquid.key: liquid
+    for liquid in (ConstantDensity(), Tait(), NobleAbel(), MieGruneisen())
 }
 """Key -> liquid, with the constants of water at 1 atm."""

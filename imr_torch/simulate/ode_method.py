@@ -57,7 +57,9 @@ class TransportField:
     (1, [1.0])
     """
 
-    def __init__(self, equations: Equations, width: int = 1, tolerance: float = 3e-4) -> None:
+    def __init__(
+        self, equations: Equations, width: int = 1, tolerance: float = 3e-4
+    ) -> None:
         self.equations = equations
         self.width = width
         self.tolerance = tolerance

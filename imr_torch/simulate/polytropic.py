@@ -83,7 +83,8 @@ class PolytropicSimulator(EngineSimulator):
             stepping = replace(stepping, step=0.5 * stepping.step)
             again = _integrate_batch(bubbles.take(failed), times[failed], stepping, width)
             results = [
-                old.index_copy(0, failed, new) for old, new in zip(results, again, strict=True)
+                old.index_copy(0, failed, new)
+                for old, new in zip(results, again, strict=True)
             ]
         return tuple(results)
 
@@ -102,7 +103,9 @@ def fewer_steps(simulator: Simulator, most: int = 600) -> Simulator:
     if not isinstance(simulator, PolytropicSimulator):
         return simulator
     stepping = simulator.stepping
-    return replace(simulator, stepping=replace(stepping, max_steps=min(stepping.max_steps, most)))
+    return replace(
+        simulator, stepping=replace(stepping, max_steps=min(stepping.max_steps, most))
+    )
 
 
 def _integrate_batch(
@@ -120,13 +123,17 @@ def _integrate_batch(
     status = torch.full((count,), int(Status.TOO_MANY_STEPS), device=times.device)
     steps = torch.zeros_like(status)
     fastest = torch.zeros_like(last)
-    limits = torch.full_like(steps, 2 * stepping.max_steps)  # a follower may need a little longer
+    limits = torch.full_like(
+        steps, 2 * stepping.max_steps
+    )  # a follower may need a little longer
     limits[::width] = stepping.max_steps
     active = torch.arange(count, device=times.device)
     ticks = stepping.step * torch.arange(block + 1, dtype=times.dtype, device=times.device)
     while len(active):
         moving = bubbles if active.numel() == count else bubbles.take(active)
-        path = odeint(_field_of(moving, stepping.step), state[:, active], ticks, method="rk4")
+        path = odeint(
+            _field_of(moving, stepping.step), state[:, active], ticks, method="rk4"
+        )
         assert isinstance(path, Tensor)  # a tuple only for tuple states
         history.append(state.expand(block, *state.shape).index_copy(2, active, path[1:]))
         state = history[-1][-1]
@@ -157,7 +164,9 @@ def head_of(bubbles: Bubbles, state: Float[Tensor, "rows *#members"]) -> Head:
     lost = gas_loss(bubbles, radius, velocity)
     law = type(bubbles.conditions.gas).law
     contents = (numbers.gas, numbers.exponent, numbers.vapour)
-    pressure, rate = law(radius, velocity, left, lost, compression, factor, trapped, *contents)
+    pressure, rate = law(
+        radius, velocity, left, lost, compression, factor, trapped, *contents
+    )
     return Head(time, radius, velocity, pressure, rate, state[4:])
 
 

@@ -150,7 +150,9 @@ class Equations:
         )
         moment = radius if time is None else time
         whole = Head(moment, radius, velocity, pressure + b.constant_vapour, rate, memory)
-        point = Point(radius, velocity, pressure, rate, wall, heat[0], wet[0], outer_slope[0])
+        point = Point(
+            radius, velocity, pressure, rate, wall, heat[0], wet[0], outer_slope[0]
+        )
         gel = GelNode(self.stretching, self.shear, outer_slope[1:], outer_laplacian)
         return Fields(whole, point, node, gel)
 

@@ -25,14 +25,16 @@ GAMMA = 0.25
 """Diagonal coefficient of Rodas4P."""
 ORDER = 4
 """Of the embedded method plus one; the step controller's exponent is its inverse."""
-SAFETY, SHRINK, GROW = 0.8, 0.1, 3.0  # steps change by SAFETY err^(-1/4), within SHRINK and GROW
+SAFETY, SHRINK, GROW = (
+    0.8,
+    0.1,
+    3.0,
+)  # steps change by SAFETY err^(-1/4), within SHRINK and GROW
 HEAT_WEIGHT = 0.3  # of temperatures beside R, U, ln P and vapour
 FIRST_STEP = 1e-3  # of every member
 UNDERFLOW = 1e-14  # step over time below which a member is given up
 REST = 0.3  # keeps a bubble's time scale finite where nothing moves
-PATIENCE = (
-    1.1  # a leader goes on beyond its last time, by so much at most, until its followers arrive
-)
+PATIENCE = 1.1  # a leader goes on beyond its last time, by so much at most, until its followers arrive
 _LAST = (-7.170454962423024, -4.741636671481785, -16.31002631330971, -1.062004044111401)
 STAGES = (
     (3.0,),
@@ -107,12 +109,16 @@ def rosenbrock_step(
             right = equations.rate(fields)
         else:
             weights = state.new_tensor((STAGES[i - 1], COUPLING[i - 1]))
-            offset, coupling = (weights @ increments[:i].flatten(1)).reshape(2, *state.shape)
+            offset, coupling = (weights @ increments[:i].flatten(1)).reshape(
+                2, *state.shape
+            )
             argument = state + offset
             right = equations.rate(equations.fields(argument, moment + moved * step))
             right.addcmul_(coupling, inverse_step)
         right[1] += velocity_time * step * TIME_INCREMENTS[i]
-        increments[i] = torch.linalg.lu_solve(factors, pivots, right.T[:, :, None])[:, :, 0].T
+        increments[i] = torch.linalg.lu_solve(factors, pivots, right.T[:, :, None])[
+            :, :, 0
+        ].T
     return argument + increments[-1], increments[-1]
 
 

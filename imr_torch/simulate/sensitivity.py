@@ -87,7 +87,9 @@ def sensitivities(
             bundles[:, row, column] = moved[:, column]
         gels, shots = bundles.split((len(PARAMETERS), len(DESIGN)), -1)
         result = simulator.bundle(gels, shots, times[:, None])
-        increments = torch.where(_mask_singular(values), torch.nan, moved - values)[:, columns]
+        increments = torch.where(_mask_singular(values), torch.nan, moved - values)[
+            :, columns
+        ]
         jacobian = (result.radius[:, 1:] - result.radius[:, :1]) / increments[..., None]
     leaders = {
         name: value[:, 0].reshape((*shape, *value.shape[2:]))
@@ -129,7 +131,9 @@ def explain_growth(
     'Ask for an earlier last time or a milder design.'
     """
     _, slopes = sensitivities(simulator, parameters, designs, times, names=names)
-    values = torch.cat((parameters, designs.to(parameters)), -1)[[_column_of(x) for x in names]]
+    values = torch.cat((parameters, designs.to(parameters)), -1)[
+        [_column_of(x) for x in names]
+    ]
     growth = (slopes * values).abs().nan_to_num().amax(0)
     worst = int(growth.argmax())
     if growth[worst] <= limit:
@@ -159,7 +163,9 @@ def _move_values(
     scales = dimensionless(
         torch.ones_like(gels), surroundings.max_radius(designs[:, 0]), surroundings
     )
-    least = torch.cat((floor / torch.stack(list(scales.values()), 1), torch.zeros_like(designs)), 1)
+    least = torch.cat(
+        (floor / torch.stack(list(scales.values()), 1), torch.zeros_like(designs)), 1
+    )
     relative = max(increment, torch.finfo(values.dtype).eps ** 0.5)
     change = relative * torch.maximum(values.abs(), least)
     upper = values.new_tensor([entry.upper for entry in PARAMETERS] + [torch.inf, 1.0])
@@ -244,14 +250,25 @@ class _Radius(torch.autograd.Function):
     ) -> tuple[Tensor, ...]:
         gels, designs = values.split((len(PARAMETERS), len(DESIGN)), 1)
         solution, slopes = sensitivities(simulator, gels, designs, times, names=names)
-        columns = torch.tensor([_column_of(name) for name in names], device=values.device).long()
-        jacobian = slopes.new_zeros(*times.shape, values.shape[1]).index_copy(2, columns, slopes)
+        columns = torch.tensor(
+            [_column_of(name) for name in names], device=values.device
+        ).long()
+        jacobian = slopes.new_zeros(*times.shape, values.shape[1]).index_copy(
+            2, columns, slopes
+        )
         jacobian = torch.where(_mask_singular(values)[:, None], 0.0, jacobian)
-        others = (solution.velocity, solution.bubble_pressure, solution.status, solution.steps)
+        others = (
+            solution.velocity,
+            solution.bubble_pressure,
+            solution.status,
+            solution.steps,
+        )
         return solution.radius, *others, jacobian
 
     @staticmethod
-    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, ...]) -> None:
+    def setup_context(
+        ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, ...]
+    ) -> None:
         ctx.mark_non_differentiable(*output[1:])
         ctx.save_for_backward(output[-1], output[1])
         ctx.save_for_forward(output[-1], output[1])
@@ -291,4 +308,6 @@ class _Radius(torch.autograd.Function):
             for x, dim in zip((values, times), in_dims[1:3], strict=True)
         ]
         outputs = _Radius.apply(simulator, *(x.flatten(0, 1) for x in moved), names)
-        return tuple(x.unflatten(0, (info.batch_size, -1)) for x in outputs), (0,) * len(outputs)
+        return tuple(x.unflatten(0, (info.batch_size, -1)) for x in outputs), (0,) * len(
+            outputs
+        )

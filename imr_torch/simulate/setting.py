@@ -103,19 +103,25 @@ class Setting(NamedTuple):
 def tension(setting: Setting, factor: BubbleValues) -> Setting:
     """Surface tension, of the moving bubble and of the one at rest."""
     scale = torch.exp(factor)
-    return setting._replace(tension=setting.tension * scale, resting=setting.resting * scale)
+    return setting._replace(
+        tension=setting.tension * scale, resting=setting.resting * scale
+    )
 
 
 def pressure(setting: Setting, factor: BubbleValues) -> Setting:
     """Far-field pressure, during the collapse and at rest."""
     scale = torch.exp(factor)
-    return setting._replace(far=setting.far + (scale - 1.0), ambient=setting.ambient * scale)
+    return setting._replace(
+        far=setting.far + (scale - 1.0), ambient=setting.ambient * scale
+    )
 
 
 def temperature(setting: Setting, factor: BubbleValues) -> Setting:
     """Far-field temperature: vapour pressure, conduction of heat and viscous heating."""
     warm = setting.temperature * torch.exp(factor)
-    more = torch.exp(SATURATION_TEMPERATURE / setting.temperature - SATURATION_TEMPERATURE / warm)
+    more = torch.exp(
+        SATURATION_TEMPERATURE / setting.temperature - SATURATION_TEMPERATURE / warm
+    )
     return setting._replace(temperature=warm, saturation=setting.saturation * more)
 
 

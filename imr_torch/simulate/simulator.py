@@ -232,7 +232,9 @@ def _solve_twins_once(
         return solve(*block, width)
     kept = [member for member in range(width) if member != second]
     places = order[:, kept].argsort(-1)
-    made = solve(*(x[:, kept].flatten(0, 1) for x in (parameters, designs, both)), width - 1)
+    made = solve(
+        *(x[:, kept].flatten(0, 1) for x in (parameters, designs, both)), width - 1
+    )
 
     def with_twin(values: Tensor) -> Tensor:
         own = values.unflatten(0, (-1, width - 1))
@@ -285,7 +287,9 @@ def broadcast_batch(
             "1."
         )
     try:
-        shape = np.broadcast_shapes(parameters.shape[:-1], designs.shape[:-1], times.shape[:-1])
+        shape = np.broadcast_shapes(
+            parameters.shape[:-1], designs.shape[:-1], times.shape[:-1]
+        )
     except ValueError:
         raise ShapeError(
             f"Batch shapes do not broadcast: parameters {tuple(parameters.shape)}, designs "
@@ -293,7 +297,8 @@ def broadcast_batch(
             f"times {tuple(times.shape)}."
         ) from None
     parameters, designs, times = (
-        x.expand(*shape, x.shape[-1]).reshape(-1, x.shape[-1]) for x in (parameters, designs, times)
+        x.expand(*shape, x.shape[-1]).reshape(-1, x.shape[-1])
+        for x in (parameters, designs, times)
     )
     return torch.Size(shape), parameters, designs, times
 
@@ -441,10 +446,14 @@ def solve_batch(
         )
     designs = designs.to(parameters)
     times = times.to(parameters)
-    blocks = zip(parameters.split(size), designs.split(size), times.split(size), strict=True)
+    blocks = zip(
+        parameters.split(size), designs.split(size), times.split(size), strict=True
+    )
     with torch.inference_mode(not is_tracked(parameters, designs, times)):
         parts = [solve(*block) for block in blocks]
-    fields = [torch.cat(columns) for columns in zip(*parts, strict=True)]  # ordinary tensors again
+    fields = [
+        torch.cat(columns) for columns in zip(*parts, strict=True)
+    ]  # ordinary tensors again
     radius, velocity, pressure = (x.reshape(*shape, -1) for x in _bubbles_only(*fields[:3]))
     status, steps = (
         x.reshape(shape) for x in (_explain_failures(fields[3], parameters), fields[4])
@@ -460,7 +469,9 @@ def _bubbles_only(radius: Tensor, velocity: Tensor, pressure: Tensor) -> tuple[T
     if not bool(wild.any()):
         return radius, velocity, pressure
     lost = wild.cumsum(1) > 0
-    return tuple(torch.where(lost, torch.nan, curve) for curve in (radius, velocity, pressure))
+    return tuple(
+        torch.where(lost, torch.nan, curve) for curve in (radius, velocity, pressure)
+    )
 
 
 def _explain_failures(status: Tensor, parameters: Tensor) -> Tensor:

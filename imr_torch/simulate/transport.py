@@ -114,9 +114,13 @@ class TransportSimulator(EngineSimulator):
             from imr_torch.simulate.compiled.run import solve_transport
 
             limits = (settings.tolerance, settings.max_steps, FIRST_STEP)
-            return solve_transport(bubbles, times, width, settings.resolution, limits, self.threads)
+            return solve_transport(
+                bubbles, times, width, settings.resolution, limits, self.threads
+            )
         inside, outside = (grid.to(parameters) for grid in settings.resolution.grids())
-        field = TransportField(Equations(bubbles, inside, outside), width, settings.tolerance)
+        field = TransportField(
+            Equations(bubbles, inside, outside), width, settings.tolerance
+        )
         return _integrate_bundles(field, times, settings.max_steps)
 
 
@@ -155,7 +159,9 @@ def _integrate_bundles(
     status = torch.full_like(last, RUNNING, dtype=torch.long)
     running = torch.arange(len(last), device=last.device)
     for tried in range(0, max_steps, block):
-        members = (running[:, None] * width + torch.arange(width, device=last.device)).flatten()
+        members = (
+            running[:, None] * width + torch.arange(width, device=last.device)
+        ).flatten()
         moving = whole if len(members) == len(whole) else whole.take(members)
         count = min(block, max_steps - tried)
         ticks = torch.arange(count + 1, dtype=times.dtype, device=times.device)
@@ -178,7 +184,9 @@ def _integrate_bundles(
     logarithm = hermite_cubic(share, step, *knots[3:])
     pressure = torch.exp(logarithm) + vapour[:, None]
     known = times <= path[0, :, -1:]
-    curves = (torch.where(known, values, torch.nan) for values in (radius, velocity, pressure))
+    curves = (
+        torch.where(known, values, torch.nan) for values in (radius, velocity, pressure)
+    )
     status = name_sonic(
         whole.equations.bubbles,
         status.repeat_interleave(width),

@@ -48,7 +48,9 @@ def move_wall(bubbles: Bubbles, head: Head) -> tuple[Members, States]:
     return _move_wall_in(bubbles, head, far, far_rate)
 
 
-def motion_slopes(bubbles: Bubbles, head: Head) -> Inexact[Tensor, "entries accelerations *#batch"]:
+def motion_slopes(
+    bubbles: Bubbles, head: Head
+) -> Inexact[Tensor, "entries accelerations *#batch"]:
     """Derivatives of ``U'`` and of ``d memory/dt`` (together ``1 + K``) in ``R``, ``U``, ``P``,
     ``dP/dt``, time, and each memory state: ``(5 + K) x (1 + K) x B``.
     """
@@ -89,7 +91,9 @@ def name_sonic(bubbles: Bubbles, status: Tensor, velocity: Members) -> Tensor:
 
     ``velocity`` is that just before the failure.
     """
-    near = velocity * bubbles.numbers.slowness > NEARLY_SONIC * bubbles.conditions.motion.sonic
+    near = (
+        velocity * bubbles.numbers.slowness > NEARLY_SONIC * bubbles.conditions.motion.sonic
+    )
     return torch.where((status != Status.DONE) & near, int(Status.SONIC_WALL), status)
 
 

@@ -9,4 +9,11 @@ from imr_torch.unknown.infer import (
 from imr_torch.unknown.next_shot import choose_shot
 from imr_torch.unknown.search import Rival
 
-__all__ = ["NOTHING_KNOWN", "MissingPressure", "Rival", "Unknown", "choose_shot", "infer_unknown"]
+__all__ = [
+    "NOTHING_KNOWN",
+    "MissingPressure",
+    "Rival",
+    "Unknown",
+    "choose_shot",
+    "infer_unknown",
+]

@@ -177,7 +177,8 @@ def infer_unknown(
     probabilities = tensor(list(logs.values())).softmax(0).tolist()
     best = max(logs, key=logs.__getitem__)
     rivals = {
-        name: found.as_rival(kinds[name], each=name == "drive") for name, found in fits.items()
+        name: found.as_rival(kinds[name], each=name == "drive")
+        for name, found in fits.items()
     }
     terms: dict[str, float] = {}
     missing: tuple[MissingPressure, ...] = ()
@@ -194,9 +195,13 @@ def infer_unknown(
     )
 
 
-def _columns_of_term(term: Callable[[Path], Tensor], responses: Sequence[Response]) -> Columns:
+def _columns_of_term(
+    term: Callable[[Path], Tensor], responses: Sequence[Response]
+) -> Columns:
     """A plain term, of root mean square p_inf over the trajectories at unit size."""
-    usual = torch.cat([term(response.path) for response in responses]).square().mean().sqrt()
+    usual = (
+        torch.cat([term(response.path) for response in responses]).square().mean().sqrt()
+    )
 
     def columns(number: int, shot: Shot, response: Response) -> Tensor:
         path = response.path
@@ -213,7 +218,9 @@ def _compare_terms(
 
     All are compared about the trajectories of the unknown function; the best are then fitted.
     """
-    columns = {name: _columns_of_term(term, found.responses) for name, term in TERMS.items()}
+    columns = {
+        name: _columns_of_term(term, found.responses) for name, term in TERMS.items()
+    }
     logs = {
         name: search.linearise(own, found.state, found.responses).log_evidence
         for name, own in columns.items()
@@ -243,12 +250,16 @@ def _missing_pressures(
     surroundings = search.shots[0].simulator.conditions.surroundings
     scale = surroundings.far_field_pressure
     missing = []
-    for number, (shot, response) in enumerate(zip(search.shots, found.responses, strict=True)):
+    for number, (shot, response) in enumerate(
+        zip(search.shots, found.responses, strict=True)
+    ):
         path = response.path
         own, base, *others = [shot.stress_along(path, to_si(gel)) for gel in gels]
         slopes = torch.stack([(own - other) / step for other in others])
         # as coarse in time as what is inferred
-        averaged = shot.average_pressure(path.times) @ torch.cat((slopes, own[None] - base)).mT
+        averaged = (
+            shot.average_pressure(path.times) @ torch.cat((slopes, own[None] - base)).mT
+        )
         made = torch.cat((averaged, columns(number, shot, response)), 1)
         by_gel, differs, by_weights = (shot.shape_pressure(path.times).mT @ made).split(
             (len(others), 1, made.shape[1] - len(others) - 1), 1
@@ -256,7 +267,9 @@ def _missing_pressures(
         pressure = differs[:, 0] + by_weights @ found.aim.weights
         sd = (torch.cat((by_gel, by_weights), 1) @ root).norm(dim=1)
         experiment = shot.batch.curves[0]
-        seconds = float(surroundings.time_scale(surroundings.max_radius(experiment.design[0])))
+        seconds = float(
+            surroundings.time_scale(surroundings.max_radius(experiment.design[0]))
+        )
         missing.append(
             MissingPressure(
                 experiment.label,

@@ -55,7 +55,9 @@ def nystroem_basis(
     root = torch.linalg.cholesky(_covariance(nodes, nodes) + 1e-6 * eye(len(nodes)))
 
     def values(points: Tensor) -> Tensor:
-        return torch.linalg.solve_triangular(root, _covariance(points, nodes).mT, upper=False).mT
+        return torch.linalg.solve_triangular(
+            root, _covariance(points, nodes).mT, upper=False
+        ).mT
 
     return values
 
@@ -72,7 +74,9 @@ def material_state(path: Path) -> Float[Tensor, "fine 3"]:
 
 def contents_state(path: Path) -> Float[Tensor, "fine 3"]:
     """Radius, velocity and strain so far, in correlation lengths."""
-    return torch.stack((path.radius.log() / 0.7, torch.asinh(path.velocity), path.strain / 8.0), -1)
+    return torch.stack(
+        (path.radius.log() / 0.7, torch.asinh(path.velocity), path.strain / 8.0), -1
+    )
 
 
 def function_of_state(
@@ -98,7 +102,9 @@ def function_of_time(paths: Sequence[Path], *, length: float = 0.25) -> Columns:
         times = response.path.times
         own = BACKGROUND * shot.average_pressure(times) @ basis(times[:, None] / length)
         width = own.shape[1]
-        return torch.nn.functional.pad(own, (width * number, width * (len(paths) - 1 - number)))
+        return torch.nn.functional.pad(
+            own, (width * number, width * (len(paths) - 1 - number))
+        )
 
     return columns
 
@@ -117,7 +123,9 @@ def flux_kernel(*, width: float = 0.1) -> Columns:
         step = float(times[1] - times[0])
         delays = arange(0.0, 1.5, 2.0 * width)
         kernels = (-0.5 * ((times - delays[:, None]) / width).square()).exp()
-        echoes = torch.fft.irfft(torch.fft.rfft(change, size) * torch.fft.rfft(kernels, size), size)
+        echoes = torch.fft.irfft(
+            torch.fft.rfft(change, size) * torch.fft.rfft(kernels, size), size
+        )
         terms = torch.cat((flux[None], step * echoes[:, : len(flux)])).mT
         return BACKGROUND * shot.average_pressure(path.times) @ terms
 

@@ -46,7 +46,9 @@ class Refit:
     @cached_property
     def root(self) -> Float[Tensor, "columns columns"]:
         """A square root of the covariance of the solution."""
-        return torch.linalg.solve_triangular(self.chol.mT, eye(len(self.solution)), upper=True)
+        return torch.linalg.solve_triangular(
+            self.chol.mT, eye(len(self.solution)), upper=True
+        )
 
 
 @dataclass(frozen=True)

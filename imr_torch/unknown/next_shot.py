@@ -141,7 +141,11 @@ def predict_curve(shot: Shot, rival: Rival, reference: FrameValues) -> Multivari
 
 
 def _weigh_outcomes(
-    curves: Sequence[MultivariateNormal], shares: dict[str, float], seed: int, *, draws: int = 256
+    curves: Sequence[MultivariateNormal],
+    shares: dict[str, float],
+    seed: int,
+    *,
+    draws: int = 256,
 ) -> list[DrawnValues]:
     """For each explanation, the log probability that data drawn from it give to it."""
     prior = tensor(list(shares.values())).log()

@@ -168,7 +168,9 @@ class KindSearch:
                 break
         return found
 
-    def linearise(self, columns: Columns, state: State, responses: tuple[Response, ...]) -> KindFit:
+    def linearise(
+        self, columns: Columns, state: State, responses: tuple[Response, ...]
+    ) -> KindFit:
         """A kind about a state that another may have made."""
         pairs = zip(self.shots, responses, strict=True)
         own = tuple(columns(number, *pair) for number, pair in enumerate(pairs))
@@ -196,7 +198,9 @@ class KindSearch:
         unknown = []
         for number, (shot, response) in enumerate(zip(self.shots, responses, strict=True)):
             # what the state holds, then each column, as changes of the curve
-            made = torch.cat((state.made[number][:, None], *columns[number : number + 1]), 1)
+            made = torch.cat(
+                (state.made[number][:, None], *columns[number : number + 1]), 1
+            )
             errors = partial(shot.project_errors, prediction=response.prediction)
             changes = made.mT @ response.pressure if state.inside else errors(made)
             residuals.append(response.residual + changes[0])
@@ -211,7 +215,9 @@ class KindSearch:
             torch.nn.functional.pad(weights, (0, 0, 0, len(coordinates))),
         )
 
-    def _aim(self, state: State, solution: Tensor, size: float, columns: Sequence[Tensor]) -> State:
+    def _aim(
+        self, state: State, solution: Tensor, size: float, columns: Sequence[Tensor]
+    ) -> State:
         """The state at which a linear solution aims."""
         parts = (len(state.gel), int(self.uncertain.sum()), columns[0].shape[1])
         gel, moved, weights = solution.split(parts)
@@ -219,7 +225,9 @@ class KindSearch:
         nuisances[self.uncertain] += moved
         weights = size * weights
         made = tuple(own @ weights for own in columns)
-        return replace(state, gel=state.gel + gel, nuisances=nuisances, weights=weights, made=made)
+        return replace(
+            state, gel=state.gel + gel, nuisances=nuisances, weights=weights, made=made
+        )
 
     def _cost(self, state: State, size: float) -> float:
         """Negative log of likelihood x priors, nats; infinite where frames would change order."""
@@ -230,7 +238,9 @@ class KindSearch:
         except InputDataError:
             return math.inf
         for shot, *own in seen:
-            total -= float(shot.batch.log_likelihood(shot.predict(state.gel, *own)[None]).sum())
+            total -= float(
+                shot.batch.log_likelihood(shot.predict(state.gel, *own)[None]).sum()
+            )
         return total
 
     def _shots_at(self, state: State) -> list[tuple[Shot, Tensor, Tensor]]:
@@ -238,4 +248,6 @@ class KindSearch:
         rows = list(zip(self.shots, state.nuisances, state.made, strict=True))
         if state.inside:
             return rows
-        return [(shot.reread(made), own, zeros(len(shot.moments))) for shot, own, made in rows]
+        return [
+            (shot.reread(made), own, zeros(len(shot.moments))) for shot, own, made in rows
+        ]

@@ -32,7 +32,9 @@ and their pressures by .1 and .4 standard deviations (median)."""
 USUAL_SIZE = 200e-6
 """Rmax in m to which sizes are referred."""
 
-_STEP = 1e-4  # pressure over p_inf at which responses are taken, in bubbles of the same steps
+_STEP = (
+    1e-4  # pressure over p_inf at which responses are taken, in bubbles of the same steps
+)
 _FINE = 0.0025  # spacing of a trajectory in t*, finer than a collapse lasts
 _OVERLAP = math.sqrt(math.pi)  # sum of unit pulses whose spacing is their width
 
@@ -119,11 +121,15 @@ class Shot:
     def _experiment(self) -> Experiment:
         return self.batch.curves[0]
 
-    def shape_pressure(self, times: Float[Tensor, "times"]) -> Float[Tensor, "pulses times"]:
+    def shape_pressure(
+        self, times: Float[Tensor, "times"]
+    ) -> Float[Tensor, "pulses times"]:
         """Pulses at given times; their sum is a constant pressure p_inf."""
         return (-((times - self.moments[:, None]) / SPACING).square()).exp() / _OVERLAP
 
-    def average_pressure(self, times: Float[Tensor, "times"]) -> Float[Tensor, "pulses times"]:
+    def average_pressure(
+        self, times: Float[Tensor, "times"]
+    ) -> Float[Tensor, "pulses times"]:
         """Weights that give each pulse its share of a pressure at given times, so that impulses
         stay what they are.
         """
@@ -144,7 +150,9 @@ class Shot:
         pascals = -surroundings.far_field_pressure * (pressure @ self.shape_pressure(times))
         if conditions.driving is not None:
             pascals = pascals + conditions.driving(times * seconds)[0]
-        driving = TabulatedDriving(tuple((times * seconds).tolist()), tuple(pascals.tolist()))
+        driving = TabulatedDriving(
+            tuple((times * seconds).tolist()), tuple(pascals.tolist())
+        )
         conditions = replace(conditions, driving=driving)
         return replace(self.simulator, conditions=conditions)  # type: ignore[type-var]
 
@@ -229,7 +237,9 @@ class Shot:
         rest = radius.new_tensor(experiment.design[1])
         surroundings = simulator.conditions.surroundings
         size = surroundings.max_radius(radius.new_tensor(experiment.design[0]))
-        path = Path(times, radius, velocity, float(rest), float(size) / USUAL_SIZE, zeros(0))
+        path = Path(
+            times, radius, velocity, float(rest), float(size) / USUAL_SIZE, zeros(0)
+        )
         return replace(path, own_stress=self.stress_along(path, parameters))
 
     def stress_along(self, path: Path, parameters: Tensor) -> Fine:
@@ -240,6 +250,8 @@ class Shot:
         surroundings = self.simulator.conditions.surroundings
         size = path.radius.new_tensor(USUAL_SIZE * path.size)
         theta = dimensionless(parameters, size, surroundings)
-        terms = [term for term in TERMS if not term.states and bool(theta[term.switch] != 0.0)]
+        terms = [
+            term for term in TERMS if not term.states and bool(theta[term.switch] != 0.0)
+        ]
         rest = path.radius.new_tensor(path.rest_radius)
         return gel_response(terms, path.radius, path.velocity, rest, theta)[0].value

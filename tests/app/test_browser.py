@@ -18,7 +18,9 @@ from imr_torch.files import read_json
 from tests.processes import BROWSER
 
 pytest.importorskip("nicegui", reason="the extra 'app' is not installed")
-playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+playwright = pytest.importorskip(
+    "playwright.sync_api", reason="playwright is not installed"
+)
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")
 FLAGS = [
     "--no-sandbox",
@@ -77,7 +79,9 @@ def address(tmp_path_factory):
 def app(address):
     with playwright.sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=BROWSER, args=FLAGS)
-        page = browser.new_page(viewport={"width": 1280, "height": 900}, accept_downloads=True)
+        page = browser.new_page(
+            viewport={"width": 1280, "height": 900}, accept_downloads=True
+        )
         page.set_default_timeout(240_000)  # only what never comes is waited for as long
         made = App(address[0], address[1], page)
         page.on(
@@ -88,7 +92,9 @@ def app(address):
         )
         page.on(
             "console",
-            lambda message: made.errors.append(message.text) if message.type == "error" else None,
+            lambda message: (
+                made.errors.append(message.text) if message.type == "error" else None
+            ),
         )
         page.on("pageerror", lambda error: made.errors.append(str(error)))
         page.goto(address[0])
@@ -170,7 +176,9 @@ def run(app: App) -> None:
     app.page.get_by_role("button", name="See the result").wait_for()
 
 
-def test_that_a_gel_is_characterised_and_the_page_read_and_everything_downloaded(app, tmp_path):
+def test_that_a_gel_is_characterised_and_the_page_read_and_everything_downloaded(
+    app, tmp_path
+):
     app.tab("Run")
     for name in ("newtonian", "gen_qkv"):
         app.page.locator(".q-chip", has_text=re.compile(f"^{name}")).locator(
@@ -191,7 +199,13 @@ def test_that_a_gel_is_characterised_and_the_page_read_and_everything_downloaded
     download.value.save_as(tmp_path / "all.zip")
     with zipfile.ZipFile(tmp_path / "all.zip") as file:
         names = {name.partition("/")[2] for name in file.namelist()}
-    assert {"page.html", "characterize.json", "report.txt", "run.json", "output.txt"} <= names
+    assert {
+        "page.html",
+        "characterize.json",
+        "report.txt",
+        "run.json",
+        "output.txt",
+    } <= names
 
 
 def test_that_the_next_design_builds_on_the_result(app):
@@ -226,7 +240,9 @@ def test_that_a_run_can_be_stopped_and_one_without_its_inputs_does_not_begin(app
 def test_that_no_tab_is_wider_than_the_screen(app, name, width):
     app.page.set_viewport_size({"width": width, "height": 900})
     app.tab(name)
-    with contextlib.suppress(playwright.TimeoutError):  # it takes a moment until all is drawn
+    with contextlib.suppress(
+        playwright.TimeoutError
+    ):  # it takes a moment until all is drawn
         app.page.wait_for_function(
             f"document.documentElement.scrollWidth <= {width}", timeout=10000
         )

@@ -19,7 +19,9 @@ async def inside(scope: Any, receive: Any, send: Any) -> None:
     await send({"type": "http.response.body", "body": b"inside"})
 
 
-def ask(headers: dict[str, str], query: str = "", kind: str = "http") -> list[dict[str, Any]]:
+def ask(
+    headers: dict[str, str], query: str = "", kind: str = "http"
+) -> list[dict[str, Any]]:
     sent: list[dict[str, Any]] = []
 
     async def send(message: Any) -> None:
@@ -40,7 +42,8 @@ def test_that_the_link_sets_a_cookie_that_scripts_and_other_sites_do_not_get_and
     headers = dict(start["headers"])
     assert (start["status"], headers[b"location"]) == (303, b"/")
     assert all(
-        part in headers[b"set-cookie"] for part in (TOKEN.encode(), b"HttpOnly", b"SameSite=Strict")
+        part in headers[b"set-cookie"]
+        for part in (TOKEN.encode(), b"HttpOnly", b"SameSite=Strict")
     )
 
 

@@ -133,7 +133,9 @@ def test_that_a_run_leaves_its_files_output_and_record(seen):
     assert "smallest sampled R*" in result.read_text_of("output.txt")
     assert result.command.startswith("imr-torch simulate --model nhkv")
     with zipfile.ZipFile(io.BytesIO(result.zip_files())) as file:
-        assert {"007_simulate/simulate.json", "007_simulate/run.json"} <= set(file.namelist())
+        assert {"007_simulate/simulate.json", "007_simulate/run.json"} <= set(
+            file.namelist()
+        )
         assert json.loads(file.read("007_simulate/simulate.json"))["model"] == "nhkv"
 
 
@@ -225,13 +227,20 @@ def arguments_of(command: str, values: dict) -> list[str]:
                 "evaluations": 7,
             },
         ),
-        ("characterize", {"models": ["nhkv", "gent+cross"], "growth": 0.6, "over_time": True}),
+        (
+            "characterize",
+            {"models": ["nhkv", "gent+cross"], "growth": 0.6, "over_time": True},
+        ),
         ("diagnose", {"without": ["wall"], "most": 2, "experiments": ["x", "y"]}),
         ("batch", {"each": True, "noise": "published"}),
         ("compare", {"model": "nhkv"}),
         ("design", {"until": "G:5%", "shots": 6, "models": ["nhkv"]}),
         ("campaign", {"tell": FILES, "stop": "G:5%,mu:5%"}),
-        *((command, values) for command in FORMS for values in FORMS[command].presets.values()),
+        *(
+            (command, values)
+            for command in FORMS
+            for values in FORMS[command].presets.values()
+        ),
     ],
 )
 def test_that_a_command_takes_what_its_form_makes_and_it_is_read_back(command, values):
@@ -258,7 +267,9 @@ def test_that_options_left_out_are_those_that_say_what_the_command_does_anyhow(c
     defaults = list_defaults(command)
     assert not FORMS[command].reads_files or read["files"] == FILES
     for name in (
-        OPTIONS[command].keys() - OF_THE_FOLDER - {*("models", "collapses", "continued", "a", "b")}
+        OPTIONS[command].keys()
+        - OF_THE_FOLDER
+        - {*("models", "collapses", "continued", "a", "b")}
     ):
         assert (read[name] or "") == (defaults[name] or "")
 
@@ -274,7 +285,14 @@ def test_that_a_campaign_goes_on_in_its_folder():
     values = {"continued": "results/003_campaign", "tell": ["files/shot.csv"]}
     words = command_arguments("campaign", values, "results/003_campaign")
     assert words == [
-        *("campaign", "--tell", "files/shot.csv", "--resume", "--out", "results/003_campaign"),
+        *(
+            "campaign",
+            "--tell",
+            "files/shot.csv",
+            "--resume",
+            "--out",
+            "results/003_campaign",
+        ),
         *("--html", "results/003_campaign/page.html"),
     ]
 
@@ -282,7 +300,9 @@ def test_that_a_campaign_goes_on_in_its_folder():
 def test_that_the_shots_of_a_batch_are_rows_with_numbers_that_can_be_read(tmp_path):
     record = '{"arguments": ["batch"], "started": "", "status": 0}'
     folder = recorded(tmp_path, "001_batch", record)
-    (folder / "batch.json").write_text('{"shots": [{"shot": "a", "curves": 1, "G": 8123.456789}]}')
+    (folder / "batch.json").write_text(
+        '{"shots": [{"shot": "a", "curves": 1, "G": 8123.456789}]}'
+    )
     (result,) = runs(tmp_path).list_results()
     assert result.read_shots() == [{"shot": "a", "curves": 1, "G": 8123.0}]
 

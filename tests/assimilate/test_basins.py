@@ -36,7 +36,9 @@ class WavySimulator(FormulaSimulator):
         gel = torch.zeros_like(times)
         for j, name in enumerate(("G", "mu")):
             size = parameters[:, PARAMETERS.index([name])] / SDS[name]
-            gel = gel + 0.1 * size * torch.cos((6.0 + 3.0 * j) * times + 0.003 * designs[:, :1] + j)
+            gel = gel + 0.1 * size * torch.cos(
+                (6.0 + 3.0 * j) * times + 0.003 * designs[:, :1] + j
+            )
         wave = 0.3 * torch.exp(-times) * torch.cos(2.0 * torch.pi * times / PERIOD)
         return 0.6 + 0.3 * times + 0.5 * designs[:, 1:] + gel + wave
 
@@ -62,7 +64,9 @@ def shot(nuisance: Nuisance) -> ExperimentBatch:
     return ExperimentBatch(tuple(made), NOISE)
 
 
-def without_noise(plans: tuple[Experiment, ...], curves: Tensor, noise: Noise) -> ExperimentBatch:
+def without_noise(
+    plans: tuple[Experiment, ...], curves: Tensor, noise: Noise
+) -> ExperimentBatch:
     """Experiments that show exactly these curves, under a noise that is stated."""
     made = zip(plans, curves, strict=True)
     return ExperimentBatch(
@@ -160,7 +164,9 @@ def test_that_draws_know_further_basins_and_integrate_over_them():
     nuisances = zeros(gel.numel(), 2, 3)
     nuisances[:, 0, 1] = zero.flatten()
     joint = posterior.log_joint(Point(gel.reshape(-1, 1), nuisances)).reshape(gel.shape)
-    log_cell = torch.log((gel[1, 0] - gel[0, 0]) * (zero[0, 1] - zero[0, 0]) / (2.0 * torch.pi))
+    log_cell = torch.log(
+        (gel[1, 0] - gel[0, 0]) * (zero[0, 1] - zero[0, 0]) / (2.0 * torch.pi)
+    )
     truth = float(joint.nan_to_num(nan=-torch.inf).logsumexp((0, 1)) + log_cell)
     known, unknown = (
         weigh(
@@ -208,9 +214,13 @@ def test_that_a_search_ends_in_the_deepest_basin_wherever_it_began(drop_behind):
     wrong = fit([1.0, 0.0, -1.0], rounds=0)
     assert right.converged
     assert mended.converged
-    assert wrong.converged  # its starts agree: that certificate says nothing of other basins
+    assert (
+        wrong.converged
+    )  # its starts agree: that certificate says nothing of other basins
     assert wrong["nhkv"].cost > right["nhkv"].cost + 5.0
     assert mended["nhkv"].cost == pytest.approx(right["nhkv"].cost, abs=1e-4)
     assert_close(mended["nhkv"].mean, right["nhkv"].mean, rtol=0.0, atol=1e-2)
     assert wrong["newtonian"].cost > wrong["nhkv"].cost + 200.0
-    assert mended["newtonian"].cost == wrong["newtonian"].cost  # so far behind that nobody looks
+    assert (
+        mended["newtonian"].cost == wrong["newtonian"].cost
+    )  # so far behind that nobody looks

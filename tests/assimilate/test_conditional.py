@@ -24,14 +24,15 @@ def closed_form(parameters, batch: ExperimentBatch, simulator):
         moved = still.clone()
         moved[:, j] = batch.nuisance_sds[:, j] * (j > 0)
         columns.append(
-            torch.where(batch.mask, predict(simulator, parameters, batch, moved), 0.0) - base
+            torch.where(batch.mask, predict(simulator, parameters, batch, moved), 0.0)
+            - base
         )
     sd = batch.sd(base)
     slopes = torch.stack([batch.whiten(c, sd) for c in columns], dim=-1)
     hessian = slopes.mT @ slopes + eye(3)
-    mean = torch.linalg.solve(hessian, slopes.mT @ batch.whiten(batch.mean - base, sd)[..., None])[
-        ..., 0
-    ]
+    mean = torch.linalg.solve(
+        hessian, slopes.mT @ batch.whiten(batch.mean - base, sd)[..., None]
+    )[..., 0]
     return mean, hessian
 
 

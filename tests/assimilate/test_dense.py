@@ -20,7 +20,9 @@ def test_that_points_follow_each_other_closely_through_a_collapse():
     design = tensor([400.0, 0.22])
     batch = ExperimentBatch((laboratory.shoot(design, seed=1),))
     options = SearchOptions(raw_samples=16, starts=2)
-    fit = assimilate(wide_prior(["nhkv"]), batch, SIMULATOR, seed=0, options=options)["nhkv"]
+    fit = assimilate(wide_prior(["nhkv"]), batch, SIMULATOR, seed=0, options=options)[
+        "nhkv"
+    ]
     times, radius = dense_curve(fit, batch, SIMULATOR, points=400)
     assert times.shape == radius.shape == (1, 400)
     assert (times.diff(dim=1) > 0.0).all()

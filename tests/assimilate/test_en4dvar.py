@@ -62,7 +62,9 @@ def test_that_members_that_fail_leave_the_answer_and_too_many_are_an_error():
     batch = experiments(3)
     truth = exact(belief.models[0], batch)
     limit = MEANS["G"] + SDS["G"] * (float(truth.mean[0]) + 2.0)
-    fit = assimilate_en4dvar(belief, batch, LinearSimulator(limit={"G": limit}), seed=0).fits[0]
+    fit = assimilate_en4dvar(
+        belief, batch, LinearSimulator(limit={"G": limit}), seed=0
+    ).fits[0]
     assert_close(fit.mean, truth.mean, rtol=0.0, atol=1e-6)
     with refused("nhkv: 0 of 48 members could be simulated", ConvergenceError):
         assimilate_en4dvar(belief, batch, LinearSimulator(fails=True), seed=0)
@@ -86,7 +88,9 @@ def test_that_its_posterior_agrees_with_the_default_once_weighted(number):
         simulator, gel, repeats=4, times=times, noise=Noise(), nuisance=nuisance
     )
     batch = ExperimentBatch((laboratory.shoot(design, seed=number),), Noise())
-    default = assimilate(belief, batch, simulator, seed=0, options=SearchOptions(raw_samples=96))
+    default = assimilate(
+        belief, batch, simulator, seed=0, options=SearchOptions(raw_samples=96)
+    )
     ensemble = assimilate_en4dvar(belief, batch, simulator, seed=0)
     assert ensemble.fits[0].cost < default.fits[0].cost + 0.5
     one, other = (
@@ -102,7 +106,10 @@ test_that_bad_options_are_named = refusals(
         lambda: En4DVarOptions(members=7),
         r"En4DVarOptions.members is 7; expected an even number of at least 8",
     ),
-    (lambda: En4DVarOptions(iterations=0), r"En4DVarOptions.iterations is 0; expected at least 1"),
+    (
+        lambda: En4DVarOptions(iterations=0),
+        r"En4DVarOptions.iterations is 0; expected at least 1",
+    ),
     (
         lambda: En4DVarOptions(relaxation=1.5),
         r"En4DVarOptions.relaxation is 1.5; expected a share in \[0, 1\]",

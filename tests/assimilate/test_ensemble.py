@@ -119,12 +119,24 @@ def test_that_a_loop_of_ones_own_ends_at_the_most_probable_point():
 @pytest.mark.parametrize(
     ("changes", "error", "message"),
     [
-        ({"predictions": zeros(12, 6)}, ShapeError, r"predictions is \(12, 6\); expected 12"),
+        (
+            {"predictions": zeros(12, 6)},
+            ShapeError,
+            r"predictions is \(12, 6\); expected 12",
+        ),
         ({"prior": (zeros(2), eye(3))}, ShapeError, r"mean of prior is \(2,\); expected 3"),
-        ({"influence": zeros(7, 3).bool()}, ShapeError, r"influence is \(7, 3\); expected 3 x 7"),
+        (
+            {"influence": zeros(7, 3).bool()},
+            ShapeError,
+            r"influence is \(7, 3\); expected 3 x 7",
+        ),
         ({"ensemble": zeros(12)}, ShapeError, r"ensemble is \(12,\); expected members x"),
         ({"data": zeros(1, 7)}, ShapeError, r"data is \(1, 7\); expected one dimension"),
-        ({"noise_covariance": zeros(6)}, ShapeError, r"noise_covariance is \(6,\); expected 7"),
+        (
+            {"noise_covariance": zeros(6)},
+            ShapeError,
+            r"noise_covariance is \(6,\); expected 7",
+        ),
         (
             {"predictions": torch.full((12, 7), torch.nan).double()},
             InputDataError,

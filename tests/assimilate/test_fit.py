@@ -24,7 +24,9 @@ def _count(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
     """How many times bubbles are simulated for a linearisation."""
     calls = []
     bundle = LinearSimulator.bundle
-    monkeypatch.setattr(LinearSimulator, "bundle", lambda *given: calls.append(1) or bundle(*given))
+    monkeypatch.setattr(
+        LinearSimulator, "bundle", lambda *given: calls.append(1) or bundle(*given)
+    )
     fit, batch, simulator = arguments
     fit.linearise(batch, simulator)
     monkeypatch.undo()

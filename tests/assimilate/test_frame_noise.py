@@ -52,7 +52,9 @@ def shoot(
         blank = Experiment(f"shot {shot}", design, moved, ones(1, len(times)))
         gel = PARAMETERS.pack(GEL | (effect or {}))[None]
         truth = predict(SIMULATOR, gel, ExperimentBatch((blank,)))[0, 0]
-        experiments.append(replace(blank, times=times, radius=see(truth, times, shot, source)))
+        experiments.append(
+            replace(blank, times=times, radius=see(truth, times, shot, source))
+        )
     return ExperimentBatch(tuple(experiments))
 
 
@@ -88,7 +90,9 @@ def over_truth(batch: ExperimentBatch, noise: Noise) -> float:
     """The inferred noise over the true one, geometric mean over frames, about the base model's fit."""
     place = near(batch)
     found = infer_frame_noise(place).law
-    ratio = (found.sd(place.centre, batch.times) / noise.sd(place.centre, batch.times))[batch.mask]
+    ratio = (found.sd(place.centre, batch.times) / noise.sd(place.centre, batch.times))[
+        batch.mask
+    ]
     return float(ratio.log().mean().exp())
 
 
@@ -96,14 +100,18 @@ def smooth(
     size: float, times: torch.Tensor, source: torch.Generator, lag: float = 0.25
 ) -> torch.Tensor:
     """A deviation whose correlation falls to 1/e over a lag."""
-    covariance = torch.exp(-0.5 * ((times[:, None] - times) / (lag / math.sqrt(2.0))).square())
+    covariance = torch.exp(
+        -0.5 * ((times[:, None] - times) / (lag / math.sqrt(2.0))).square()
+    )
     root = torch.linalg.cholesky(covariance + 1e-8 * torch.eye(len(times)))
     return size * root @ randn(len(times), generator=source)
 
 
 def with_slow_noise(batch: ExperimentBatch, size: float, seed: int = 5) -> ExperimentBatch:
     source = generator(seed)
-    moved = tuple(replace(e, radius=e.radius + smooth(size, e.times, source)) for e in batch.curves)
+    moved = tuple(
+        replace(e, radius=e.radius + smooth(size, e.times, source)) for e in batch.curves
+    )
     return replace(batch, experiments=moved)
 
 
@@ -114,7 +122,9 @@ def test_that_curves_are_filtered_where_no_folder_can_be_written(monkeypatch):
     monkeypatch.setattr("numba.core.caching.CacheImpl._locator_classes", [])
     with pytest.raises(RuntimeError, match="cannot cache"):
         njit(cache=True)(_filter_curves)
-    monkeypatch.setattr("imr_torch.assimilate.matern._compile_filter", _compile_filter.__wrapped__)
+    monkeypatch.setattr(
+        "imr_torch.assimilate.matern._compile_filter", _compile_filter.__wrapped__
+    )
     for found, kept in zip(matern_whitened(*given), expected, strict=True):
         assert torch.equal(found, kept)
 
@@ -133,7 +143,9 @@ LAWS = {
 @pytest.mark.parametrize(
     "effect", [{}, {"wall": 0.2}, {"clock": 0.04}], ids=["right", "wall", "clock"]
 )
-def test_that_the_law_is_recovered_beside_a_right_model_and_beside_a_wrong_one(noise, effect):
+def test_that_the_law_is_recovered_beside_a_right_model_and_beside_a_wrong_one(
+    noise, effect
+):
     assert over_truth(curves(noise, effect, seed=3), noise) == pytest.approx(1.0, abs=0.2)
 
 
@@ -144,15 +156,21 @@ def test_that_the_law_is_recovered_at_other_frame_rates(spacing, largest):
         1.0, abs=0.2
     )
     assert (
-        0.8 < over_truth(curves(Noise(), {"wall": 0.2}, spacing=spacing, seed=1), Noise()) < largest
+        0.8
+        < over_truth(curves(Noise(), {"wall": 0.2}, spacing=spacing, seed=1), Noise())
+        < largest
     )
 
 
 def test_that_frames_next_to_collapses_have_noise_of_their_own_where_the_camera_gives_it():
     """Taken for frames like the others, they make p-values where there is no gap a hundredth."""
 
-    def found(jitter: float, prior: FrameNoisePrior, **effect: float) -> tuple[float, float]:
-        batch = replace(shoot(pixels(0.002), effect, jitter=jitter), noise=Noise(kink=FIRST_KINK))
+    def found(
+        jitter: float, prior: FrameNoisePrior, **effect: float
+    ) -> tuple[float, float]:
+        batch = replace(
+            shoot(pixels(0.002), effect, jitter=jitter), noise=Noise(kink=FIRST_KINK)
+        )
         for _ in range(2):
             batch = infer_frame_noise(near(batch), prior).applied(batch)
         test = adequacy_test(fit(batch), (LIBRARY["wall"],), batch, SIMULATOR, seed=0).test
@@ -179,7 +197,9 @@ def test_that_fits_count_what_the_model_misses_alike_in_all_frames():
     missed = infer_frame_noise(near(with_slow_noise(curves(Noise()), 0.03)))
     law = missed.for_fits(widen=False).law
     assert law.scale * law.floor == pytest.approx(0.03, rel=0.3)
-    assert law.scale * law.slope == pytest.approx(missed.law.scale * missed.law.slope, rel=0.2)
+    assert law.scale * law.slope == pytest.approx(
+        missed.law.scale * missed.law.slope, rel=0.2
+    )
     assert missed.widened > 1.3
     assert right.widened < 1.1
 
@@ -197,11 +217,18 @@ def test_that_one_noisy_curve_has_a_factor_of_its_own_and_even_curves_have_none(
     place = near(curves(Noise(), factors=(1.0, 3.0, 1.0)))
     found = infer_frame_noise(place)
     every = infer_frame_noise(place, FrameNoisePrior(behind=math.inf))
-    assert (found.law, found.factors, found.widened) == (every.law, every.factors, every.widened)
+    assert (found.law, found.factors, found.widened) == (
+        every.law,
+        every.factors,
+        every.widened,
+    )
     assert found.factors[1] == pytest.approx(3.0, rel=0.3)
     assert (found.factors[0], found.factors[2], found.factor_sds[0]) == (1.0, 1.0, 0.0)
     assert found.factor_sds[1] > 0.0
-    even = [infer_frame_noise(near(curves(Noise(), seed=seed)), FEW).factors for seed in range(6)]
+    even = [
+        infer_frame_noise(near(curves(Noise(), seed=seed)), FEW).factors
+        for seed in range(6)
+    ]
     assert even == [(1.0, 1.0, 1.0)] * 6
 
 
@@ -209,12 +236,16 @@ def test_that_spoilt_frames_are_left_out_and_no_others():
     batch = curves(Noise())
     first = batch.curves[0].radius.clone()
     first[0, [12, 34]] += tensor(0.15, -0.3)
-    spoilt = replace(batch, experiments=(replace(batch.curves[0], radius=first), *batch.curves[1:]))
+    spoilt = replace(
+        batch, experiments=(replace(batch.curves[0], radius=first), *batch.curves[1:])
+    )
     kept = without_spoilt_frames(near(spoilt))
     assert frames_left_out(spoilt.curves, kept.curves) == {batch.curves[0].label: [12, 34]}
     assert without_spoilt_frames(near(batch)) is batch
     late = curves(Noise(scale=0.2), {"clock": 0.04})
-    assert without_spoilt_frames(near(late)) is late  # collapses at the wrong time are no spikes
+    assert (
+        without_spoilt_frames(near(late)) is late
+    )  # collapses at the wrong time are no spikes
 
 
 def test_that_a_handful_of_frames_is_not_taken_for_quiet():
@@ -226,7 +257,9 @@ def test_that_a_handful_of_frames_is_not_taken_for_quiet():
     assert over_truth(short, Noise()) == pytest.approx(1.0, abs=1e-6)
     loud = curves(Noise(scale=6.0), spacing=0.1)
     assert (
-        over_truth(replace(loud, experiments=tuple(e.until(0.9) for e in loud.curves)), Noise())
+        over_truth(
+            replace(loud, experiments=tuple(e.until(0.9) for e in loud.curves)), Noise()
+        )
         > 2.0
     )
     assert over_truth(curves(Noise(scale=0.2), spacing=0.1), Noise()) < 0.4  # 78 frames
@@ -235,7 +268,9 @@ def test_that_a_handful_of_frames_is_not_taken_for_quiet():
 def test_that_repeats_decide_where_there_are_some():
     noise = Noise(scale=1.5, correlation_time=0.1)
     batch = shoot(
-        lambda r, t, shot, source: noise.draw(r, t, 10, generator=source), {"wall": 0.2}, seed=2
+        lambda r, t, shot, source: noise.draw(r, t, 10, generator=source),
+        {"wall": 0.2},
+        seed=2,
     )
     found = infer_frame_noise(near(batch))
     assert found.law.scale == pytest.approx(1.5, rel=0.1)
@@ -250,7 +285,9 @@ def test_that_pixel_noise_at_several_frame_rates_makes_no_gap_and_a_wall_does(se
     def p_value(effect: dict[str, float]) -> float:
         batch = shoot(pixels(0.004), effect, seed=seed, spacings=(0.04, 0.03, 0.02))
         batch = infer_frame_noise(near(batch)).applied(batch)
-        return adequacy_test(fit(batch), (LIBRARY["wall"],), batch, SIMULATOR, seed=0).test.p_value
+        return adequacy_test(
+            fit(batch), (LIBRARY["wall"],), batch, SIMULATOR, seed=0
+        ).test.p_value
 
     assert p_value({}) > LEVEL
     assert p_value({"wall": 0.2}) < 1e-3
@@ -271,15 +308,19 @@ def test_that_p_values_by_inferred_noise_are_uniform_and_a_lean_is_found(monkeyp
 
     def p_value(lean: float) -> float:
         rows = [
-            noise.draw(c, times, 1, generator=source) + lean * noise.sd(c, times) * shapes[5]
+            noise.draw(c, times, 1, generator=source)
+            + lean * noise.sd(c, times) * shapes[5]
             for c in clean
         ]
         shots = tuple(
-            Experiment(f"{k}", (400.0 + 200.0 * k, 0.2), times, row) for k, row in enumerate(rows)
+            Experiment(f"{k}", (400.0 + 200.0 * k, 0.2), times, row)
+            for k, row in enumerate(rows)
         )
         batch = ExperimentBatch(shots)
         point = Point(zeros(2), zeros(3, 3))
-        for _ in range(2):  # the optimum of a linear model, under the noise inferred about it
+        for _ in range(
+            2
+        ):  # the optimum of a linear model, under the noise inferred about it
             line = whiten_rows(Posterior(part, batch, simulator).neighbourhood(point))
             point = Point(point.gel + (line.to_shift @ line.residual)[:2], point.nuisances)
             batch = infer_frame_noise(

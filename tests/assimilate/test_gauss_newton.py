@@ -48,7 +48,9 @@ def dense(
         rows[e, :, SIZE + 3 * e : SIZE + 3 * e + 3] = by_nuisance[e]
     matrix = rows.reshape(-1, rows.shape[-1])
     hessian = eye(matrix.shape[1]) + matrix.mT @ matrix
-    return hessian, torch.cat((gel, nuisances.reshape(-1))) + matrix.mT @ residual.reshape(-1)
+    return hessian, torch.cat((gel, nuisances.reshape(-1))) + matrix.mT @ residual.reshape(
+        -1
+    )
 
 
 @pytest.mark.parametrize("seed", [0, 10, 20])

@@ -93,10 +93,15 @@ def gaussian_sample(scale: float, seed: int, count: int = 1000) -> ImportanceSam
     """A posterior ``N((1, -2), C C^T)`` times ``e^-7``, with the proposal ``scale`` times as wide."""
     proposal = Kernels.about_mean(MEAN, scale * CHOL)
     controls = proposal.draw_points(count, generator(seed))
-    target = torch.distributions.MultivariateNormal(MEAN, scale_tril=CHOL).log_prob(controls) - 7.0
+    target = (
+        torch.distributions.MultivariateNormal(MEAN, scale_tril=CHOL).log_prob(controls)
+        - 7.0
+    )
     prior = -0.5 * controls.square().sum(1) - math.log(2.0 * math.pi)
     likelihood = (target - prior)[:, None]
-    return sample_of(controls, prior, likelihood, proposal.log_prob(controls), (MEAN, scale * CHOL))
+    return sample_of(
+        controls, prior, likelihood, proposal.log_prob(controls), (MEAN, scale * CHOL)
+    )
 
 
 def test_that_moments_and_evidence_of_a_gaussian_come_out_within_their_errors():
@@ -106,7 +111,9 @@ def test_that_moments_and_evidence_of_a_gaussian_come_out_within_their_errors():
     assert sample.log_evidence == pytest.approx(-7.0, abs=4.0 * sample.log_evidence_error)
     assert ((sample.mean - MEAN).abs() < 4.0 * mean_error(sample)).all()
     sds = (CHOL @ CHOL.mT).diagonal().sqrt()
-    assert ((sample.covariance.diagonal().sqrt() - sds).abs() < 4.0 * sd_error(sample)).all()
+    assert (
+        (sample.covariance.diagonal().sqrt() - sds).abs() < 4.0 * sd_error(sample)
+    ).all()
     assert mean_error(sample).max() < 0.03
 
 
@@ -163,7 +170,9 @@ def test_that_resampling_takes_each_draw_in_proportion_to_its_weight():
 
 
 @pytest.mark.parametrize(("variance", "size"), [(0.2, 1), (0.1, 1), (0.3, 3), (0.2, 3)])
-def test_that_the_error_of_an_evidence_whose_draws_are_not_reliable_covers_it(variance, size):
+def test_that_the_error_of_an_evidence_whose_draws_are_not_reliable_covers_it(
+    variance, size
+):
     """Proposals narrower than the posterior: log evidence 0, mostly missed from below, which the
     spread of weights hides.
     """
@@ -174,9 +183,9 @@ def test_that_the_error_of_an_evidence_whose_draws_are_not_reliable_covers_it(va
         source = generator(seed)
         draws = math.sqrt(variance) * randn(count, size, generator=source)
         log_target = -0.5 * (draws.square() + math.log(2.0 * math.pi)).sum(1)
-        log_proposal = -0.5 * (draws.square() / variance + math.log(2.0 * math.pi * variance)).sum(
-            1
-        )
+        log_proposal = -0.5 * (
+            draws.square() / variance + math.log(2.0 * math.pi * variance)
+        ).sum(1)
         sample = sample_of(draws, log_target, zeros(count, 1), log_proposal)
         spread = float(count * sample.weights.std() / math.sqrt(count))
         if sample.reliable:
@@ -194,7 +203,9 @@ def test_that_the_error_of_an_evidence_whose_draws_are_not_reliable_covers_it(va
     [(0.5, 0.2, (False, True)), (4.0, 1.0, (True, True)), (1.0, 50.0, (True, False))],
     ids=["informed", "in conflict", "uninformed"],
 )
-def test_that_power_sensitivities_are_those_of_a_conjugate_posterior(datum, noise, hangs_on):
+def test_that_power_sensitivities_are_those_of_a_conjugate_posterior(
+    datum, noise, hangs_on
+):
     """Prior N(0, 1) to the power a, likelihood N(datum, noise^2) to the power b: precision ``a + b/s^2``,
     mean ``b y/s^2`` over it; derivatives in ln a and ln b at 1 are written out.
     """

@@ -86,7 +86,9 @@ def fitted(simulator: Simulator, nuisance: Nuisance | None = None):
     return fit_linear(batch, simulator, starts=[STARTS], warn=False).fits[0]
 
 
-@pytest.mark.parametrize("nuisance", [None, Nuisance(time_zero=0.05)], ids=["certain", "uncertain"])
+@pytest.mark.parametrize(
+    "nuisance", [None, Nuisance(time_zero=0.05)], ids=["certain", "uncertain"]
+)
 def test_that_a_fit_arrives_where_gauss_newton_alone_would_not(monkeypatch, nuisance):
     arrived = fitted(Circle(), nuisance)
     assert arrived.certificate.converged
@@ -138,7 +140,9 @@ def test_that_a_point_where_bubbles_fail_is_not_taken():
 def test_that_a_search_ends_where_failing_bubbles_bar_every_way_down():
     posterior = barred()
     start = Point(STARTS[0], posterior.mean_nuisances())
-    search = ModelSearch(posterior, [start], SearchOptions(iterations=200), False, generator(0))
+    search = ModelSearch(
+        posterior, [start], SearchOptions(iterations=200), False, generator(0)
+    )
     search.find_lowest()
     assert search.lowest.iterations < search.options.iterations
     assert search.lowest.gradient > search.options.gradient

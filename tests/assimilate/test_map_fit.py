@@ -52,7 +52,9 @@ def assert_exact(fit: ModelFit, truth: Exact, *, atol: float = 3e-7) -> None:
     assert error.abs().max() < 1e-5  # standard deviations; a certificate allows 1e-3
 
 
-@pytest.mark.parametrize("correlated", [False, True], ids=["standard prior", "correlated prior"])
+@pytest.mark.parametrize(
+    "correlated", [False, True], ids=["standard prior", "correlated prior"]
+)
 @for_each("batch", BATCHES)
 def test_that_the_posterior_of_a_linear_simulator_is_exact(batch, correlated):
     belief = prior(correlated=correlated)
@@ -130,9 +132,13 @@ def test_that_no_start_at_all_is_refused():
 def test_that_repeats_count_as_often_as_they_were_made():
     """Repeats of one curve, or the same curves as experiments of one repeat each."""
     batch = experiments(3, noise=CORRELATED)
-    singles = tuple(replace(e, radius=curve[None]) for e in batch.experiments for curve in e.radius)
+    singles = tuple(
+        replace(e, radius=curve[None]) for e in batch.experiments for curve in e.radius
+    )
     assert len(singles) > len(batch.experiments)
-    one, other = (fit_linear(b).fits[0] for b in (batch, ExperimentBatch(singles, CORRELATED)))
+    one, other = (
+        fit_linear(b).fits[0] for b in (batch, ExperimentBatch(singles, CORRELATED))
+    )
     assert_close(one.mean, other.mean, rtol=0.0, atol=1e-7)
     assert_close(one.chol, other.chol, rtol=1e-6, atol=1e-9)
 
@@ -141,7 +147,10 @@ def test_that_the_cost_is_that_of_the_joint_density():
     batch = experiments(3, nuisance=BOTH)
     fit = fit_linear(batch).fits[0]
     prediction = predict(
-        LinearSimulator(), fit.parameters(fit.mean), batch, fit.nuisances * batch.nuisance_sds
+        LinearSimulator(),
+        fit.parameters(fit.mean),
+        batch,
+        fit.nuisances * batch.nuisance_sds,
     )
     expected = (
         0.5 * (fit.mean.square().sum() + fit.nuisances.square().sum())
@@ -171,9 +180,9 @@ class JitterySimulator(LinearSimulator):
     lock_step: bool = True
 
     def jitter(self, parameters: Tensor, times: Tensor) -> Tensor:
-        phase = 1e7 * (parameters / tensor(*[SDS.get(name, 1.0) for name in PARAMETERS.names])).sum(
-            -1, keepdim=True
-        )
+        phase = 1e7 * (
+            parameters / tensor(*[SDS.get(name, 1.0) for name in PARAMETERS.names])
+        ).sum(-1, keepdim=True)
         return 1e-3 * torch.sin(phase + 5.0 * times)
 
     def __call__(self, parameters, designs, times):
@@ -209,7 +218,9 @@ class WavySimulator(LinearSimulator):
         parameters = parameters.clone()
         at = PARAMETERS.index(["G"])[0]
         control = (parameters[..., at] - MEANS["G"]) / SDS["G"]
-        parameters[..., at] = MEANS["G"] + SDS["G"] * (control + 1.5 * torch.sin(3.0 * control))
+        parameters[..., at] = MEANS["G"] + SDS["G"] * (
+            control + 1.5 * torch.sin(3.0 * control)
+        )
         return super().__call__(parameters, designs, times)
 
 
@@ -224,7 +235,9 @@ def test_that_among_models_the_other_starts_of_a_model_with_several_minima_follo
 
     def cost(starts: Tensor, *, sifted: int | None = None) -> float:
         options = SearchOptions(drop_behind=0.1, descent=DescentOptions(sifted=sifted))
-        found = fit_linear(batch, WavySimulator(), belief, options=options, starts=[good, starts])
+        found = fit_linear(
+            batch, WavySimulator(), belief, options=options, starts=[good, starts]
+        )
         assert (
             found["gen_qkv"].cost - found["nhkv"].cost > 0.1
         )  # further behind than a second start may lag
@@ -254,7 +267,9 @@ def test_that_a_fit_that_converged_says_so_and_does_not_warn():
 
 def test_that_a_fit_that_was_cut_short_warns_and_says_so():
     short = replace(OPTIONS, iterations=1)
-    with pytest.warns(ConvergenceWarning, match=r"NHKV: NOT CONVERGED \(gradient") as caught:
+    with pytest.warns(
+        ConvergenceWarning, match=r"NHKV: NOT CONVERGED \(gradient"
+    ) as caught:
         result = assimilate(NHKV, experiments(3), WavySimulator(), seed=1, options=short)
     assert not result.converged
     assert caught[0].filename == __file__  # where assimilate was called
@@ -267,7 +282,8 @@ def test_that_a_fit_that_was_cut_short_warns_and_says_so():
 
 def test_that_a_simulator_that_always_fails_is_a_convergence_error():
     with refused(
-        r"nhkv: 0 of 24 prior draws could be simulated; check units and bounds", ConvergenceError
+        r"nhkv: 0 of 24 prior draws could be simulated; check units and bounds",
+        ConvergenceError,
     ):
         fit_linear(experiments(2), LinearSimulator(fails=True))
 
@@ -277,8 +293,14 @@ test_that_bad_options_are_named = refusals(
         lambda: SearchOptions(basin_rounds=-1),
         r"SearchOptions.basin_rounds is -1; expected at least 0",
     ),
-    (lambda: SearchOptions(starts=5, raw_samples=4), r"2 <= starts <= raw_samples, got 5 and 4"),
-    (lambda: SearchOptions(iterations=0), r"SearchOptions.iterations is 0; expected at least 1"),
+    (
+        lambda: SearchOptions(starts=5, raw_samples=4),
+        r"2 <= starts <= raw_samples, got 5 and 4",
+    ),
+    (
+        lambda: SearchOptions(iterations=0),
+        r"SearchOptions.iterations is 0; expected at least 1",
+    ),
 )
 
 
@@ -316,7 +338,10 @@ def bubbles():
         truth,
         batch,
         fit_linear(
-            batch, PolytropicSimulator(), belief, options=SearchOptions(raw_samples=32, starts=2)
+            batch,
+            PolytropicSimulator(),
+            belief,
+            options=SearchOptions(raw_samples=32, starts=2),
         ).fits[0],
     )
 
@@ -324,13 +349,17 @@ def bubbles():
 def test_that_the_gel_is_found_within_its_interval(bubbles):
     truth, _, fit = bubbles
     assert fit.certificate.converged
-    deviation = (fit.posterior.means - truth[PARAMETERS.index(("G", "mu"))]) / fit.posterior.sds
+    deviation = (
+        fit.posterior.means - truth[PARAMETERS.index(("G", "mu"))]
+    ) / fit.posterior.sds
     assert deviation.abs().max() < 4.0
     assert (fit.posterior.sds < 0.1 * fit.prior.sds).all()
 
 
 def cost_of(fit: ModelFit, batch: ExperimentBatch, v: Tensor, w: Tensor) -> Tensor:
-    prediction = predict(PolytropicSimulator(), fit.parameters(v), batch, w * batch.nuisance_sds)
+    prediction = predict(
+        PolytropicSimulator(), fit.parameters(v), batch, w * batch.nuisance_sds
+    )
     likelihood = batch.log_likelihood(torch.where(batch.mask, prediction, 0.0)).sum(-1)
     return 0.5 * v.square().sum(-1) + 0.5 * w.square().sum((-2, -1)) - likelihood
 
@@ -343,7 +372,9 @@ def test_that_no_neighbour_of_the_fit_costs_less(bubbles):
     follow = (fit.nuisance_response @ moves[:, None, :, None])[..., 0]
     for w in (fit.nuisances.expand(4, -1, -1), fit.nuisances + follow):
         assert (cost(fit.mean + moves, w) > fit.cost).all()
-    sides = 0.05 * torch.cat((torch.eye(6), -torch.eye(6))).to(torch.float64).reshape(12, 2, 3)
+    sides = 0.05 * torch.cat((torch.eye(6), -torch.eye(6))).to(torch.float64).reshape(
+        12, 2, 3
+    )
     assert (cost(fit.mean.expand(12, -1), fit.nuisances + sides) > fit.cost).all()
 
 
@@ -395,7 +426,11 @@ class TearingSimulator(LinearSimulator):
 def test_that_a_chain_whose_bubbles_cannot_be_simulated_any_more_ends_and_not_the_search():
     batch = experiments(3)
     starts = [tensor((0.3, 0.0), (0.2, 0.1), (1.5, 0.5))]
-    found = fit_linear(batch, TearingSimulator(), options=SearchOptions(), starts=starts).fits[0]
+    found = fit_linear(
+        batch, TearingSimulator(), options=SearchOptions(), starts=starts
+    ).fits[0]
     truth = exact(NHKV.models[0], batch)
     assert found.certificate.converged
-    assert ((found.mean - truth.mean).abs() / truth.covariance.diagonal().sqrt()).max() < 0.1
+    assert (
+        (found.mean - truth.mean).abs() / truth.covariance.diagonal().sqrt()
+    ).max() < 0.1

@@ -51,7 +51,9 @@ def wrong_minima() -> int:
         batch = ExperimentBatch((Experiment("cusp", (500.0, 0.2), TIMES, data),), NOISE)
         options = SearchOptions(raw_samples=2, starts=2)
         fit = fit_linear(batch, CuspedSimulator(), seed=seed, options=options).fits[0]
-        wrong += bool(((fit.mean - truth).abs() > 5.0 * torch.linalg.norm(fit.chol, dim=1)).any())
+        wrong += bool(
+            ((fit.mean - truth).abs() > 5.0 * torch.linalg.norm(fit.chol, dim=1)).any()
+        )
     return wrong
 
 
@@ -71,7 +73,18 @@ def test_which_frames_are_next_to_a_collapse():
         1.0, 0.9, 0.8, 0.2, 0.5, 0.7, 0.6, 0.5, 0.3, 0.1
     )  # a collapse at frame 3, and one at the end of the record
     kept = starts.away_from_collapses(arange(10), radius)
-    assert kept.tolist() == [True, True, False, False, False, True, True, True, False, False]
+    assert kept.tolist() == [
+        True,
+        True,
+        False,
+        False,
+        False,
+        True,
+        True,
+        True,
+        False,
+        False,
+    ]
     for short in (tensor(1.0, 1.0, 1.0), tensor(1.0, 0.2, 0.9)):
         assert starts.away_from_collapses(arange(3), short).all()
 
@@ -99,8 +112,12 @@ def test_that_the_way_without_collapses_ends_where_it_cannot_come_near_a_known_f
     def search(rival: float) -> tuple[float, int]:
         simulator = CountingSimulator()
         options = SearchOptions(starts=2, drop_behind=6.0, rival=rival, mask_collapses=True)
-        begin = [tensor((2.5, -2.0), (2.4, -2.0)) if beside else tensor((-2.5, 2.0), (2.5, -2.0))]
-        fit = fit_linear(batch, simulator, options=options, starts=begin, warn=False).fits[0]
+        begin = [
+            tensor((2.5, -2.0), (2.4, -2.0)) if beside else tensor((-2.5, 2.0), (2.5, -2.0))
+        ]
+        fit = fit_linear(batch, simulator, options=options, starts=begin, warn=False).fits[
+            0
+        ]
         return fit.cost, sum(simulator.calls)
 
     free, all_calls = search(math.inf)

@@ -77,7 +77,9 @@ def test_that_noise_is_estimated_from_repeats_with_gaps_too():
         whole.batch.of_frames.noise.scale, rel=0.05
     )
     apart = (gaps["nhkv"].mean - whole["nhkv"].mean).abs()
-    assert (apart < 0.5 * whole["nhkv"].chol.norm(dim=1)).all()  # 10 frames of 1440 are missing
+    assert (
+        apart < 0.5 * whole["nhkv"].chol.norm(dim=1)
+    ).all()  # 10 frames of 1440 are missing
 
 
 def test_that_a_model_that_misses_the_data_keeps_the_noise_of_the_camera_and_pays_in_its_intervals():

@@ -23,7 +23,15 @@ from imr_torch.observe import CollapseTime, Experiment, ExperimentBatch, NoiseLa
 from imr_torch.random import generator
 from tests.curved import mean_error, sd_error
 from tests.drifting import SLOW, assert_that_only_widened_hold, drifting, hold
-from tests.linear import CORRELATED, NHKV, NOISE, LinearSimulator, exact, experiments, tensor
+from tests.linear import (
+    CORRELATED,
+    NHKV,
+    NOISE,
+    LinearSimulator,
+    exact,
+    experiments,
+    tensor,
+)
 from tests.refusals import refused
 
 PRIOR = NHKV
@@ -31,14 +39,18 @@ PART = PRIOR.models[0]
 SIMULATOR = LinearSimulator()
 OPTIONS = SearchOptions(raw_samples=8, starts=2)
 UNCERTAIN = Nuisance(time_zero=0.05, rest_radius=0.05)
-KNOWN = NoiseLaws((CORRELATED, replace(NOISE, scale=1.7)), tensor(0.6, 0.4), tensor(0.2, 0.3))
+KNOWN = NoiseLaws(
+    (CORRELATED, replace(NOISE, scale=1.7)), tensor(0.6, 0.4), tensor(0.2, 0.3)
+)
 
 
 def fitted(batch: ExperimentBatch) -> Assimilation:
     return assimilate(PRIOR, batch, SIMULATOR, seed=0, options=OPTIONS)
 
 
-def estimated(batch: ExperimentBatch, simulator=SIMULATOR, *, seed: int = 0, rounds: int = 1):
+def estimated(
+    batch: ExperimentBatch, simulator=SIMULATOR, *, seed: int = 0, rounds: int = 1
+):
     return assimilate_estimating_noise(
         PRIOR, batch, simulator, rounds=rounds, seed=seed, options=OPTIONS, warn=False
     )
@@ -53,7 +65,8 @@ def nodes_of(batch: ExperimentBatch) -> NoiseNodes:
 def by_brute_force(batch: ExperimentBatch, nodes: NoiseNodes) -> dict[str, torch.Tensor]:
     """Exact evidence and posterior over all laws of the nodes, by dense algebra."""
     found = [
-        exact(PART, replace(batch, noise=nodes.law_at(number))) for number in range(len(nodes))
+        exact(PART, replace(batch, noise=nodes.law_at(number)))
+        for number in range(len(nodes))
     ]
     values = (
         torch.tensor([one.log_evidence for one in found], dtype=torch.float64)
@@ -90,7 +103,8 @@ def test_that_evidence_and_moments_over_the_noise_are_those_of_brute_force_sums(
     assert ((sample.mean - expected["mean"]).abs() < 4.0 * mean_error(sample) + 1e-3).all()
     sds = expected["covariance"].diagonal().sqrt()
     assert (
-        (sample.covariance.diagonal().sqrt() - sds).abs() < 4.0 * sd_error(sample) + 0.01 * sds
+        (sample.covariance.diagonal().sqrt() - sds).abs()
+        < 4.0 * sd_error(sample) + 0.01 * sds
     ).all()
     whole = (PART.chol @ torch.linalg.cholesky(expected["covariance"])).norm(dim=1)
     assert (fit.posterior.chol.norm(dim=1) / whole - 1.0).abs().max() < 0.1
@@ -107,17 +121,26 @@ def film(seed: int, frames: int = 14) -> tuple[ExperimentBatch, torch.Tensor]:
     return ExperimentBatch((Experiment("a", (400.0, 0.2), times, seen),), NOISE), gel
 
 
-def test_that_intervals_over_the_noise_cover_where_plugged_in_ones_are_narrower(few_deviations):
+def test_that_intervals_over_the_noise_cover_where_plugged_in_ones_are_narrower(
+    few_deviations,
+):
     inside: dict[str, list[bool]] = {"plugged": [], "integrated": []}
     wider = []
     for seed in range(40):
         batch, gel = film(1000 + seed)
         fits = estimated(batch, seed=seed)
         sds = []
-        for kind, noise in (("plugged", None), ("integrated", noise_nodes(fits, SIMULATOR))):
-            belief = weigh(fits, SIMULATOR, seed=seed, samples=128, noise=noise)["nhkv"].posterior
+        for kind, noise in (
+            ("plugged", None),
+            ("integrated", noise_nodes(fits, SIMULATOR)),
+        ):
+            belief = weigh(fits, SIMULATOR, seed=seed, samples=128, noise=noise)[
+                "nhkv"
+            ].posterior
             sd = belief.chol.norm(dim=1)
-            inside[kind] += ((PART.unwhitened(gel) - belief.mean).abs() < 1.645 * sd).tolist()
+            inside[kind] += (
+                (PART.unwhitened(gel) - belief.mean).abs() < 1.645 * sd
+            ).tolist()
             sds.append(sd)
         wider.append(sds[1] / sds[0])
     share = {kind: sum(found) / len(found) for kind, found in inside.items()}
@@ -147,12 +170,15 @@ def independent(seed: int, repeats: int = 1) -> ExperimentBatch:
     clean = SLOW(PART.to_si(zeros(2)), tensor(400.0, 0.2), times).radius
     rows = [NOISE.draw(clean, times, repeats, generator=source) for _ in range(2)]
     return ExperimentBatch(
-        tuple(Experiment(f"{k}", (400.0, 0.2), times, row) for k, row in enumerate(rows)), NOISE
+        tuple(Experiment(f"{k}", (400.0, 0.2), times, row) for k, row in enumerate(rows)),
+        NOISE,
     )
 
 
 @pytest.mark.parametrize("repeats", [1, 6])
-def test_that_intervals_stay_as_they_are_where_frames_are_independent(repeats, few_deviations):
+def test_that_intervals_stay_as_they_are_where_frames_are_independent(
+    repeats, few_deviations
+):
     """But for one in twenty, by chance."""
     factors = []
     for seed in range(16):
@@ -170,11 +196,13 @@ def test_that_repeats_tell_a_misfit_from_noise():
     batch = independent(0, 6)
     bent = 0.3 * torch.sin(3.0 * batch.experiments[0].times)
     moved = replace(
-        batch, experiments=tuple(replace(e, radius=e.radius + bent) for e in batch.experiments)
+        batch,
+        experiments=tuple(replace(e, radius=e.radius + bent) for e in batch.experiments),
     )
     fits = estimated(moved, SLOW, rounds=2)
     level = float(
-        fits.batch.of_frames.noise.sd(tensor(0.5), tensor(1.0)) / NOISE.sd(tensor(0.5), tensor(1.0))
+        fits.batch.of_frames.noise.sd(tensor(0.5), tensor(1.0))
+        / NOISE.sd(tensor(0.5), tensor(1.0))
     )
     assert level == pytest.approx(1.0, rel=0.15)
     assert fits.batch.noise.widened > 2.0
@@ -182,7 +210,11 @@ def test_that_repeats_tell_a_misfit_from_noise():
         tensor(0.5), tensor(1.0)
     )
     assert math.isfinite(
-        float(weigh(fits, SLOW, seed=0, noise=noise_nodes(fits, SLOW))["nhkv"].posterior.sds[0])
+        float(
+            weigh(fits, SLOW, seed=0, noise=noise_nodes(fits, SLOW))["nhkv"].posterior.sds[
+                0
+            ]
+        )
     )
 
 
@@ -191,6 +223,8 @@ def test_that_laws_of_frames_are_refused_beside_collapse_times():
     batch = experiments(1, noise=CORRELATED)
     nodes = nodes_of(batch)
     time = CollapseTime("time", (400.0, 0.2), 0.9, 0.01)
-    both = replace(fitted(batch), batch=replace(batch, experiments=(*batch.experiments, time)))
+    both = replace(
+        fitted(batch), batch=replace(batch, experiments=(*batch.experiments, time))
+    )
     with refused("error of their own; leave noise out"):
         weigh(both, SIMULATOR, seed=0, noise=nodes)

@@ -58,7 +58,9 @@ def test_that_a_newton_step_from_anywhere_ends_at_the_exact_posterior_of_a_linea
 
 
 @pytest.mark.parametrize(
-    "simulator", [PolytropicSimulator(), TransportSimulator()], ids=["polytropic", "transport"]
+    "simulator",
+    [PolytropicSimulator(), TransportSimulator()],
+    ids=["polytropic", "transport"],
 )
 def test_that_the_gradient_is_that_of_the_log_joint(simulator):
     """Against wide central differences, each with the solver steps of the point, along random directions."""
@@ -71,7 +73,9 @@ def test_that_the_gradient_is_that_of_the_log_joint(simulator):
     equations = posterior.neighbourhood(point).equations
     source = generator(1)
     for _ in range(3):
-        way = Point(*(randn(x.shape, generator=source) for x in (point.gel, point.nuisances)))
+        way = Point(
+            *(randn(x.shape, generator=source) for x in (point.gel, point.nuisances))
+        )
         expected = (equations.gel_gradient * way.gel).sum() + (
             equations.nuisance_gradient * way.nuisances
         ).sum()
@@ -81,7 +85,9 @@ def test_that_the_gradient_is_that_of_the_log_joint(simulator):
             point.nuisances + lengths[:, None, None] * way.nuisances,
         )
         cost = -posterior.log_joint(line, posterior.predict(line, bundled=True))
-        assert (cost[1] - cost[2]) / 2e-4 == pytest.approx(float(expected), rel=1e-3, abs=1e-3)
+        assert (cost[1] - cost[2]) / 2e-4 == pytest.approx(
+            float(expected), rel=1e-3, abs=1e-3
+        )
 
 
 def test_that_a_neighbour_that_fails_tells_nothing_and_the_others_do():
@@ -99,7 +105,10 @@ def test_that_a_neighbour_that_fails_tells_nothing_and_the_others_do():
 
 def test_that_where_the_bubble_itself_fails_the_log_joint_is_minus_infinity():
     posterior = linear(experiments(2), fails=True)
-    assert posterior.log_joint(Point(tensor(0.0, 0.0), posterior.mean_nuisances())) == -torch.inf
+    assert (
+        posterior.log_joint(Point(tensor(0.0, 0.0), posterior.mean_nuisances()))
+        == -torch.inf
+    )
 
 
 def test_that_the_log_joint_can_be_sampled_by_hamiltonian_monte_carlo():

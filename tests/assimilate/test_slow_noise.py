@@ -23,9 +23,9 @@ from tests.gap.synthetic import BASE, SIMULATOR
 def known(batch: ExperimentBatch) -> Neighbourhood:
     """About the base model's fit, with the noise inferred there."""
     place = near(batch)
-    return Posterior(BASE, infer_frame_noise(place).applied(batch), SIMULATOR).neighbourhood(
-        place.point
-    )
+    return Posterior(
+        BASE, infer_frame_noise(place).applied(batch), SIMULATOR
+    ).neighbourhood(place.point)
 
 
 def alike(batch: ExperimentBatch, size: float, seed: int) -> ExperimentBatch:
@@ -36,7 +36,9 @@ def alike(batch: ExperimentBatch, size: float, seed: int) -> ExperimentBatch:
     )
 
 
-def dense_log_evidence(near: Neighbourhood, fitted: torch.Tensor, amount: float) -> torch.Tensor:
+def dense_log_evidence(
+    near: Neighbourhood, fitted: torch.Tensor, amount: float
+) -> torch.Tensor:
     """Beside deviations of .3 in t*, with all that is fitted as columns of a covariance."""
     batch = near.posterior.batch
     columns = near.jacobian.flatten(1).mT
@@ -78,7 +80,9 @@ def test_that_noise_differs_between_shots_and_an_effect_does_not(seed):
     noise = smooth_deviations(
         known(with_slow_noise(curves(Noise(), seed=seed), 0.015, seed=seed + 20))
     )
-    effect = smooth_deviations(known(alike(curves(Noise(), seed=seed), 0.015, seed=seed + 50)))
+    effect = smooth_deviations(
+        known(alike(curves(Noise(), seed=seed), 0.015, seed=seed + 50))
+    )
     assert noise.own > max(10.0, noise.common + 1.0)
     assert effect.common > max(10.0, effect.own + 3.0)
 

@@ -49,7 +49,9 @@ def assert_moments(sample, truth) -> Tensor:
     """Within four standard errors; returns the true standard deviations."""
     assert ((sample.mean - truth.mean).abs() < 4.0 * mean_error(sample)).all()
     sds = truth.covariance.diagonal().sqrt()
-    assert ((sample.covariance.diagonal().sqrt() - sds).abs() < 4.0 * sd_error(sample)).all()
+    assert (
+        (sample.covariance.diagonal().sqrt() - sds).abs() < 4.0 * sd_error(sample)
+    ).all()
     return sds
 
 
@@ -85,7 +87,9 @@ def test_that_a_wrong_gaussian_is_repaired_to_the_exact_posterior(simple, width,
     fit = simple.fits[0]
     truth = exact(simple.prior.models[0], simple.batch)
     mean = fit.mean + shift * fit.chol[:, 0]
-    wrong = changed(simple, mean=mean, chol=width * fit.chol, nuisances=fit.nuisances_at(mean))
+    wrong = changed(
+        simple, mean=mean, chol=width * fit.chol, nuisances=fit.nuisances_at(mean)
+    )
     right = weighed(wrong, samples=256, rounds=8)
     sample = right.sample
     assert right.verdict is Verdict.REPAIRED
@@ -97,7 +101,9 @@ def test_that_a_wrong_gaussian_is_repaired_to_the_exact_posterior(simple, width,
     )
     chol = right.prior.chol
     assert_close(right.posterior.mean, right.prior.mean + chol @ sample.mean)
-    assert_close(right.posterior.chol @ right.posterior.chol.mT, chol @ sample.covariance @ chol.mT)
+    assert_close(
+        right.posterior.chol @ right.posterior.chol.mT, chol @ sample.covariance @ chol.mT
+    )
 
 
 def test_that_a_gaussian_far_too_narrow_shows_a_heavy_tail(simple):
@@ -113,7 +119,9 @@ def test_that_a_gaussian_far_too_narrow_shows_a_heavy_tail(simple):
 @pytest.mark.parametrize(
     ("width", "left"), [(1.5, 300), (0.8, 700)]
 )  # by a Gaussian that is too narrow, 484 are left
-def test_that_nuisances_are_integrated_out_even_where_their_gaussian_is_wrong(simple, width, left):
+def test_that_nuisances_are_integrated_out_even_where_their_gaussian_is_wrong(
+    simple, width, left
+):
     """A conditional Gaussian of the nuisances that is too wide or too narrow costs samples and changes no answer."""
     wrong = changed(simple, nuisance_chol=simple.fits[0].nuisance_chol / width)
     truth = exact(simple.prior.models[0], simple.batch)
@@ -162,7 +170,9 @@ def test_that_quantiles_of_a_curved_posterior_are_those_of_its_draws_and_not_of_
     for column, marginal in enumerate(fit.prior.marginals):
         controls = marginal.to_control(fit.posterior.quantile(levels)[:, column])
         found = (controls - fit.prior.mean[column]) / fit.prior.chol[column, column]
-        assert [truth.below(column, float(x)) for x in found] == pytest.approx(levels, abs=0.03)
+        assert [truth.below(column, float(x)) for x in found] == pytest.approx(
+            levels, abs=0.03
+        )
 
 
 def test_that_the_draws_of_a_model_do_not_depend_on_company():
@@ -192,12 +202,15 @@ def test_that_the_noise_of_the_weights_alone_condemns_nothing():
     batch = ExperimentBatch(experiments(1).experiments, NOISE)
     fit = fit_linear(batch, belief=prior(("gen_qkv",)))
     verdicts = [
-        weigh(fit, LinearSimulator(), seed=seed, samples=100).fits[0].verdict for seed in range(30)
+        weigh(fit, LinearSimulator(), seed=seed, samples=100).fits[0].verdict
+        for seed in range(30)
     ]
     assert verdicts.count(Verdict.TRUSTED) >= 28
 
 
-def test_that_a_draw_whose_clock_is_impossible_weighs_nothing_and_does_not_end_the_batch(simple):
+def test_that_a_draw_whose_clock_is_impossible_weighs_nothing_and_does_not_end_the_batch(
+    simple,
+):
     """A conditional Gaussian of the time zero so wide that records would begin long before the maximum radius."""
 
     class Strict(LinearSimulator):
@@ -217,7 +230,9 @@ def test_that_a_model_that_is_improbable_by_its_evidence_alone_gets_one_round():
     """
     both = fit_linear(experiments(3), belief=prior(("nhkv", "gen_qkv")))
     assert abs(both["gen_qkv"].cost - both["nhkv"].cost) < 1.0
-    tight = replace(both, fits=tuple(replace(fit, chol=0.7 * fit.chol) for fit in both.fits))
+    tight = replace(
+        both, fits=tuple(replace(fit, chol=0.7 * fit.chol) for fit in both.fits)
+    )
     for drop_behind, again in ((2.0, False), (4.0, True)):
         said: list[ProgressLine] = []
         weighted = weigh(
@@ -242,14 +257,18 @@ def test_that_no_round_follows_draws_of_which_too_few_are_effective(simple):
 
     def rounds(share: float) -> int:
         options = WeighingOptions(hopeless=share)
-        weighted = weigh(poor, LinearSimulator(), seed=0, samples=25, rounds=8, options=options)
+        weighted = weigh(
+            poor, LinearSimulator(), seed=0, samples=25, rounds=8, options=options
+        )
         return weighted.fits[0].sample.rounds
 
     assert rounds(1.0) == 3 < rounds(0.0)
 
 
 @pytest.mark.parametrize("times", [1.0, 10.0])
-def test_that_nuisances_are_placed_anew_where_they_do_not_follow_the_gel_linearly(simple, times):
+def test_that_nuisances_are_placed_anew_where_they_do_not_follow_the_gel_linearly(
+    simple, times
+):
     """With a fit whose nuisances move with the gel many times as far as they should, the draws are
     as good as with the right one; without placing them anew they are not.
     """
@@ -269,7 +288,9 @@ def test_that_many_curves_cost_few_of_the_draws():
     of the second round are placed anew.
     """
     parts = [experiments(3, nuisance=BOTH, seed=seed) for seed in range(8)]
-    many = fit_linear(replace(parts[0], experiments=tuple(e for p in parts for e in p.experiments)))
+    many = fit_linear(
+        replace(parts[0], experiments=tuple(e for p in parts for e in p.experiments))
+    )
     fit = many.fits[0]
     off = changed(many, mean=fit.mean + 0.5 * fit.chol[:, 0])
     sample = weighed(off, rounds=2).sample
@@ -287,7 +308,9 @@ def ended_too_high(right: Assimilation, away: float) -> Assimilation:
     """As if the search had ended some standard deviations from the minimum, and there were one."""
     fit = right.fits[0]
     mean = fit.mean + away * fit.chol[:, 0]
-    there = replace(fit, mean=mean, nuisances=fit.nuisances_at(mean), cost=fit.cost + 0.5 * away**2)
+    there = replace(
+        fit, mean=mean, nuisances=fit.nuisances_at(mean), cost=fit.cost + 0.5 * away**2
+    )
     return replace(right, fits=(there,))
 
 
@@ -303,7 +326,9 @@ def test_that_a_fit_above_another_minimum_is_made_again_from_there(right):
     assert mended.sample.log_evidence == pytest.approx(
         truth.log_evidence, abs=5.0 * mended.sample.log_evidence_error
     )
-    assert any(line == "NHKV: draws found a minimum that is 8.0 nats lower" for line in said)
+    assert any(
+        line == "NHKV: draws found a minimum that is 8.0 nats lower" for line in said
+    )
     assert wrong.fits[0].sample is None
 
 
@@ -321,7 +346,9 @@ def test_that_a_draw_is_lower_only_in_another_basin_and_of_a_model_that_may_matt
     options = WeighingOptions(refits=0)
     fit = weighed(ended_too_high(right, away), options=options)
     posterior = Posterior(fit.prior, right.batch, LinearSimulator())
-    assert (find_lower_draw(fit, fit.cost - behind, posterior, options) is not None) is found
+    assert (
+        find_lower_draw(fit, fit.cost - behind, posterior, options) is not None
+    ) is found
 
 
 def test_that_a_fit_that_only_looks_too_high_is_not_made_again(right):

@@ -46,14 +46,22 @@ def thin(every: list[Case]) -> list[Case]:
 def test_that_bad_inputs_are_refused_or_warned_of_in_one_line(every, kind, tmp_path):
     found = [tried(case, tmp_path) for case in every if case.kind == kind]
     assert len(found) >= 30
-    assert [(o.case.name, o.verdict, o.said[-200:]) for o in found if o.verdict != "handled"] == []
+    assert [
+        (o.case.name, o.verdict, o.said[-200:]) for o in found if o.verdict != "handled"
+    ] == []
 
 
-def test_that_the_net_catches_what_is_accepted_and_what_crashes(every, tmp_path, monkeypatch):
+def test_that_the_net_catches_what_is_accepted_and_what_crashes(
+    every, tmp_path, monkeypatch
+):
     (good,) = islice((case for case in every if case.name == "Windows lines"), 1)
     accepted = Case("table", "good", good.arguments, "gel.csv", good.make)
     assert tried(accepted, tmp_path).verdict == "accepted"
-    unwarned = Case("table", "good", good.arguments, "gel.csv", good.make, warned="never said")
+    unwarned = Case(
+        "table", "good", good.arguments, "gel.csv", good.make, warned="never said"
+    )
     assert tried(unwarned, tmp_path).verdict == "unclear"
-    monkeypatch.setattr("imr_torch.cli.characterize.load_traces", lambda *_, **__: {}["missing"])
+    monkeypatch.setattr(
+        "imr_torch.cli.characterize.load_traces", lambda *_, **__: {}["missing"]
+    )
     assert tried(accepted, tmp_path).verdict == "traceback"

@@ -27,13 +27,21 @@ MARKED = Layout("2", radius_unit="um", time="1", time_unit="us", separator=-1000
 
 FILES = {
     "empty file": (b"", None, r"bad\.csv: the file is empty; export the curve again\."),
-    "only blanks": (b" \n \n", None, r"bad\.csv: the file is empty; export the curve again\."),
+    "only blanks": (
+        b" \n \n",
+        None,
+        r"bad\.csv: the file is empty; export the curve again\.",
+    ),
     "byte-order mark alone": (
         b"\xef\xbb\xbf",
         None,
         r"bad\.csv: the file is empty; export the curve again\.",
     ),
-    "comments alone": (b"# nothing\n", None, r"bad\.csv: holds no row; export the curve again\."),
+    "comments alone": (
+        b"# nothing\n",
+        None,
+        r"bad\.csv: holds no row; export the curve again\.",
+    ),
     "a field too long": (
         b"t (us),R (um)\n0," + b"1" * 140_000 + b"\n",
         None,
@@ -206,7 +214,9 @@ FILES = {
         r"bad\.csv: experiment 'bad', time_s spans 7e-12 s; .*write time_unit=s into --layout\. If the header .*",
     ),
     "half a separator": (
-        b"-1000,-1000\n" + b"".join(b"%d,%d\n" % (i, 90 - i) for i in range(6)) + b"9,-1000\n",
+        b"-1000,-1000\n"
+        + b"".join(b"%d,%d\n" % (i, 90 - i) for i in range(6))
+        + b"9,-1000\n",
         MARKED,
         r"bad\.csv: experiment 'bad_001', row 8: radius is -0\.001 m, which is negative\. .*",
     ),
@@ -256,7 +266,10 @@ def test_that_a_missing_file_a_folder_and_no_file_are_told_apart(tmp_path):
             "{",
             r"bad\.json: cannot be used \(JSONDecodeError: .*\); expected JSON with a list 'experiments' .*",
         ),
-        ("[]", r"bad\.json: cannot be used \(it holds a list\); .*correct it, or move it away\."),
+        (
+            "[]",
+            r"bad\.json: cannot be used \(it holds a list\); .*correct it, or move it away\.",
+        ),
         (
             '{"experiments": [{"Rmax_m": 1}]}',
             r"bad\.json: cannot be used \(entry 1 of 'experiments' has no experiment_id\); .*",
@@ -269,7 +282,10 @@ def test_that_a_missing_file_a_folder_and_no_file_are_told_apart(tmp_path):
             '{"medium": "x", "medium": "y"}',
             r"bad\.json: cannot be used \(.*'medium' occurs twice in one object\); .*",
         ),
-        ("[" * 100_000, r"bad\.json: cannot be used \(its values are nested too deep\); .*"),
+        (
+            "[" * 100_000,
+            r"bad\.json: cannot be used \(its values are nested too deep\); .*",
+        ),
         (
             '{"experiments": [{"experiment_id": "a", "Rmax_m": "1e-4"}]}',
             r"Rmax_m of experiment 'a' is '1e-4'; expected a number",
@@ -278,7 +294,10 @@ def test_that_a_missing_file_a_folder_and_no_file_are_told_apart(tmp_path):
             '{"radius_unit": "furlong"}',
             r"bad\.json: cannot be used \(radius_unit is 'furlong'; write .*um, px for radii\)",
         ),
-        ('{"exposure_s": 0}', r"Given\.exposure_s is 0\.0; expected a positive duration in s"),
+        (
+            '{"exposure_s": 0}',
+            r"Given\.exposure_s is 0\.0; expected a positive duration in s",
+        ),
         (
             '{"experiments": [{"experiment_id": "a", "Rmax_m": -1}]}',
             r"bad\.json: cannot be used \(experiment 'a': InputDataError: Given\.max_radius_m is -1\.0; .*",
@@ -290,7 +309,9 @@ def test_that_an_unusable_json_beside_a_table_is_named(tmp_path, content, messag
     (tmp_path / "bad.json").write_text(content)
     with pytest.raises(InputDataError, match=message) as caught:
         load_traces(tmp_path / "bad.csv")
-    assert caught.value.experiment == ("a" if "experiment 'a'" in str(caught.value) else None)
+    assert caught.value.experiment == (
+        "a" if "experiment 'a'" in str(caught.value) else None
+    )
 
 
 LAYOUTS = {

@@ -23,7 +23,9 @@ from tests.refusals import refused
 
 PLAN = Plan(times=linspace(0.0, 2.0, 13), repeats=16, noise=NOISE, collapses=None)
 OPTIONS = SearchOptions(raw_samples=8, starts=2)
-LINEAR = Arrangement(prior(("nhkv", "gen_qkv")), ((400.0, 0.2),), PLAN, samples=64, options=OPTIONS)
+LINEAR = Arrangement(
+    prior(("nhkv", "gen_qkv")), ((400.0, 0.2),), PLAN, samples=64, options=OPTIONS
+)
 
 ONE = replace(LINEAR, prior=NHKV)  # where model probabilities are not asked for
 
@@ -70,7 +72,9 @@ def halved(experiments):
 
 def enlarged(experiments):
     """A scale that is off by two per cent."""
-    return ExperimentBatch(tuple(replace(e, radius=1.02 * e.radius) for e in experiments), NOISE)
+    return ExperimentBatch(
+        tuple(replace(e, radius=1.02 * e.radius) for e in experiments), NOISE
+    )
 
 
 def tempered(experiments):
@@ -115,9 +119,13 @@ def test_that_a_function_from_data_to_draws_is_judged(width, right):
     """Several designs, noise that is correlated in time, nuisances, and 200 gels."""
     noise = replace(NOISE, correlation_time=0.3)
     plan = replace(PLAN, nuisance=Nuisance(time_zero=0.1, rest_radius=0.2), noise=noise)
-    several = replace(LINEAR, designs=((400.0, 0.2), (700.0, 0.15), (250.0, 0.25)), plan=plan)
+    several = replace(
+        LINEAR, designs=((400.0, 0.2), (700.0, 0.15), (250.0, 0.25)), plan=plan
+    )
     found = list(
-        calibrate(several, LinearSimulator(), range(200), seed=5, infer=drawn_exactly(width))
+        calibrate(
+            several, LinearSimulator(), range(200), seed=5, infer=drawn_exactly(width)
+        )
     )
     assert {len(r.reported) for r in found} == {2, 3}
     for name in ("G", "mu"):
@@ -129,7 +137,9 @@ def test_that_a_function_from_data_to_draws_is_judged(width, right):
 def test_that_draws_of_a_wrong_shape_are_an_error_that_says_which_is_right():
     with refused(r"infer returned draws of shape \(7,\) .* in the order G, mu", ShapeError):
         list(
-            calibrate(LINEAR, LinearSimulator(), range(2), seed=0, infer=lambda *_: torch.zeros(7))
+            calibrate(
+                LINEAR, LinearSimulator(), range(2), seed=0, infer=lambda *_: torch.zeros(7)
+            )
         )
 
 

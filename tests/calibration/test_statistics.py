@@ -83,7 +83,10 @@ def test_that_missing_coverage_is_seen():
 
 
 test_that_bad_input_is_named = refusals(
-    (lambda: uniformity([0.1, 1.2] * 20), "uniformity: expected at least one number, all within"),
+    (
+        lambda: uniformity([0.1, 1.2] * 20),
+        "uniformity: expected at least one number, all within",
+    ),
     (lambda: uniformity([math.nan] * 20), "uniformity: expected at least one number"),
     (lambda: uniformity([0.5] * 9), "9 values are too few for 2 bins; 10 are needed"),
     (lambda: coverage([], 0.9), "coverage: expected at least one number"),

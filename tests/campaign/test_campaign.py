@@ -9,7 +9,14 @@ from dataclasses import replace
 import pytest
 
 from imr_torch.assimilate import SearchOptions
-from imr_torch.campaign import Campaign, CampaignSettings, ExactLearner, Journal, Optimal, Random
+from imr_torch.campaign import (
+    Campaign,
+    CampaignSettings,
+    ExactLearner,
+    Journal,
+    Optimal,
+    Random,
+)
 from imr_torch.design import Laplace, Plan
 from imr_torch.float64 import linspace, tensor
 from imr_torch.material import PARAMETERS, reference_case
@@ -26,7 +33,9 @@ SETTINGS = CampaignSettings(
     policy=Optimal(Laplace(draws=3, rivals=3), evaluations=5, initial=4),
     learner=ExactLearner(32, SearchOptions(raw_samples=24, starts=2)),
 )
-LABORATORY = SimulatedLaboratory(SIMULATOR, PARAMETERS.pack(CASE.truth), repeats=20, times=TIMES)
+LABORATORY = SimulatedLaboratory(
+    SIMULATOR, PARAMETERS.pack(CASE.truth), repeats=20, times=TIMES
+)
 
 
 def shoot(design, number):
@@ -50,7 +59,9 @@ def test_the_belief_closes_in_on_the_truth(finished):
     assert [step.number for step in finished.steps] == [1, 2]
     part = finished.belief["nhkv"]
     assert finished.belief.probabilities["nhkv"] > 0.99
-    for name, mean, sd in zip(part.names, part.means.tolist(), part.sds.tolist(), strict=True):
+    for name, mean, sd in zip(
+        part.names, part.means.tolist(), part.sds.tolist(), strict=True
+    ):
         assert abs(mean - CASE.truth[name]) < 4.0 * sd
         assert sd < 0.05 * CASE.truth[name]
 
@@ -61,7 +72,9 @@ def test_the_journal_holds_what_was_asked_measured_and_concluded(finished):
     asked = finished.journal.find_event("ask", 1)
     assert len(asked["search"]["evaluations"]) == SETTINGS.policy.evaluations
     assert asked["design"] == pytest.approx(list(finished.experiments[0].design))
-    assert {"nhkv", "gen_qkv"} == set(finished.journal.find_event("learnt", 2)["certificates"])
+    assert {"nhkv", "gen_qkv"} == set(
+        finished.journal.find_event("learnt", 2)["certificates"]
+    )
 
 
 def test_a_journal_of_another_campaign_is_refused_and_says_what_differs(finished):
@@ -82,25 +95,35 @@ def test_a_changed_or_missing_curve_file_is_refused(finished, tmp_path):
         campaign(tmp_path / "bad")
 
 
-def test_noise_that_was_learnt_is_in_the_journal_and_is_what_the_next_design_expects(tmp_path):
+def test_noise_that_was_learnt_is_in_the_journal_and_is_what_the_next_design_expects(
+    tmp_path,
+):
     louder = SimulatedLaboratory(
         SIMULATOR, LABORATORY.truth, repeats=20, times=TIMES, noise=Noise(scale=4.0)
     )
-    settings = replace(SETTINGS, policy=Random(), learner=replace(SETTINGS.learner, noise_rounds=2))
+    settings = replace(
+        SETTINGS, policy=Random(), learner=replace(SETTINGS.learner, noise_rounds=2)
+    )
     run = campaign(tmp_path / "loud", settings=settings)
     assert run.plan == settings.plan
     step = run.tell(louder.shoot(tensor([400.0, 0.2]), seed=0))
-    assert step.noise.scale == pytest.approx(4.0, rel=0.35)  # some 20 frames of a mean curve
+    assert step.noise.scale == pytest.approx(
+        4.0, rel=0.35
+    )  # some 20 frames of a mean curve
     again = campaign(tmp_path / "loud", settings=settings)
     assert again.plan.noise == run.plan.noise == step.noise
     assert again.plan.repeats == settings.plan.repeats
 
 
 @pytest.mark.parametrize("missed", [False, True])
-def test_that_noise_is_that_of_a_misfit_where_the_model_misses_what_was_told(tmp_path, missed):
+def test_that_noise_is_that_of_a_misfit_where_the_model_misses_what_was_told(
+    tmp_path, missed
+):
     truth = PARAMETERS.pack(CASE.truth | {"gas_loss": 2.0 if missed else 0.0})
     laboratory = SimulatedLaboratory(SIMULATOR, truth, repeats=1)
-    settings = replace(SETTINGS, policy=Random(), learner=replace(SETTINGS.learner, noise_rounds=2))
+    settings = replace(
+        SETTINGS, policy=Random(), learner=replace(SETTINGS.learner, noise_rounds=2)
+    )
     run = campaign(tmp_path / "told", settings=settings)
     step = run.tell(laboratory.shoot(tensor([400.0, 0.2]), seed=0))
     assert (step.noise.widened > 1.5) == missed

@@ -9,7 +9,14 @@ from imr_torch.campaign import camera_variants, forecast_shots, stopping_rule
 from imr_torch.float64 import eye
 from imr_torch.material import Belief, TruncatedNormal
 from imr_torch.observe import Noise
-from tests.design.linear_camera import DESIGNS, TWO, LinearCamera, covariance, plan, sensitivity
+from tests.design.linear_camera import (
+    DESIGNS,
+    TWO,
+    LinearCamera,
+    covariance,
+    plan,
+    sensitivity,
+)
 from tests.refusals import refused
 
 SURE = Belief.prior(

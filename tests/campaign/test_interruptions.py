@@ -61,7 +61,9 @@ def whole(request, tmp_path_factory):
 
 
 @needs_fork
-def test_that_a_campaign_killed_at_any_operation_is_resumed_to_the_same_journal(whole, tmp_path):
+def test_that_a_campaign_killed_at_any_operation_is_resumed_to_the_same_journal(
+    whole, tmp_path
+):
     work, folder, count = whole
     assert count > 80
     for at in range(1, count + 1, EVERY):
@@ -87,7 +89,9 @@ def test_that_a_campaign_whose_disk_is_full_from_any_operation_on_is_resumed_to_
         assert compare(trial, folder) is None, at
 
 
-def test_that_a_campaign_cut_within_any_line_is_resumed_to_the_same_journal(whole, tmp_path):
+def test_that_a_campaign_cut_within_any_line_is_resumed_to_the_same_journal(
+    whole, tmp_path
+):
     work, folder, _ = whole
     lines = (folder / "journal.jsonl").read_bytes().splitlines()
     for events in range(len(lines)):
@@ -114,4 +118,8 @@ def test_that_ctrl_c_is_one_line_that_says_what_is_kept_and_how_to_go_on(
         == f"imr-torch: interrupted; what was finished is in {out / 'journal.jsonl'}, continue with --resume\n"
     )
     text = (out / "journal.jsonl").read_text()
-    assert [kind in text for kind in ('"ask"', '"observed"', '"learnt"')] == [True, True, False]
+    assert [kind in text for kind in ('"ask"', '"observed"', '"learnt"')] == [
+        True,
+        True,
+        False,
+    ]

@@ -71,7 +71,9 @@ def test_that_a_line_cut_at_any_byte_is_left_out_and_then_repaired(folder, tmp_p
     whole = (folder / "journal.jsonl").read_bytes()
     last = whole.splitlines(keepends=True)[-1]
     for cut_at in range(len(last)):
-        copy = cut(folder, tmp_path / f"cut{cut_at}", COUNT - 1, torn=(cut_at + 0.5) / len(last))
+        copy = cut(
+            folder, tmp_path / f"cut{cut_at}", COUNT - 1, torn=(cut_at + 0.5) / len(last)
+        )
         before = (copy / "journal.jsonl").read_bytes()
         journal = Journal(copy)
         assert (
@@ -153,10 +155,16 @@ def test_that_a_disk_that_is_full_from_any_operation_on_leaves_the_journal_as_be
         except OSError as error:
             said = str(error)
         assert said is None or (
-            "the last event was not recorded" in said and journal.path.read_bytes() == before
+            "the last event was not recorded" in said
+            and journal.path.read_bytes() == before
         )
-        assert [len(x.events) for x in (journal, Journal(folder))] in ([known] * 2, [known + 1] * 2)
-        journal.append("note", text=f"again {at}")  # the same object may go on once there is room
+        assert [len(x.events) for x in (journal, Journal(folder))] in (
+            [known] * 2,
+            [known + 1] * 2,
+        )
+        journal.append(
+            "note", text=f"again {at}"
+        )  # the same object may go on once there is room
 
 
 def test_that_an_interrupt_in_a_write_leaves_the_journal_as_before(folder, monkeypatch):

@@ -39,7 +39,9 @@ def shot(
     seed: int = 0,
 ) -> ExperimentBatch:
     truth = PARAMETERS.pack({"G": 5300.0, "mu": 0.16})
-    laboratory = SimulatedLaboratory(SIMULATOR, truth, noise=noise, repeats=repeats, times=TIMES)
+    laboratory = SimulatedLaboratory(
+        SIMULATOR, truth, noise=noise, repeats=repeats, times=TIMES
+    )
     return ExperimentBatch((laboratory.shoot(tensor(*design), seed=seed),), noise)
 
 

@@ -43,7 +43,9 @@ def campaign(folder, **changes) -> Campaign:
     return told.campaign(folder, **settings | changes)
 
 
-def choose(policy, number: int, *, seed: int = 0, space: DesignSpace = SPACE) -> torch.Tensor:
+def choose(
+    policy, number: int, *, seed: int = 0, space: DesignSpace = SPACE
+) -> torch.Tensor:
     return policy.choose_design(
         Situation(number, NHKV, LinearSimulator(), space, PLAN, seed)
     ).design
@@ -66,7 +68,9 @@ def test_random_designs_are_uniform_and_space_filling_ones_more_even():
         designs = torch.stack([choose(policy, number) for number in range(1, 65)])
         unit = (designs - SPACE.bounds[0]) / (SPACE.bounds[1] - SPACE.bounds[0])
         cells = (unit * 4).long().clamp(0, 3)
-        return float(torch.bincount(4 * cells[:, 0] + cells[:, 1], minlength=16).double().var())
+        return float(
+            torch.bincount(4 * cells[:, 0] + cells[:, 1], minlength=16).double().var()
+        )
 
     assert 1.0 < spread(Random()) < 9.0  # 3.75 on average
     assert spread(SpaceFilling()) == 0.0
@@ -84,9 +88,9 @@ def test_that_where_a_list_alone_can_be_shot_designs_are_of_it():
 
 
 def test_a_search_asks_in_batches_for_as_many_designs_in_all():
-    found = Optimal(Laplace(draws=3, rivals=3), evaluations=9, initial=4, batch=3).choose_design(
-        Situation(1, NHKV, LinearSimulator(), SPACE, PLAN, 0)
-    )
+    found = Optimal(
+        Laplace(draws=3, rivals=3), evaluations=9, initial=4, batch=3
+    ).choose_design(Situation(1, NHKV, LinearSimulator(), SPACE, PLAN, 0))
     assert found.search is not None
     assert len(found.search.designs) == len(found.search.gains) == 9
     assert len(torch.unique(found.search.designs, dim=0)) == 9
@@ -106,7 +110,11 @@ test_a_search_that_cannot_be_is_refused = refusals(
 def test_resuming_with_any_policy_and_learner_gives_the_uninterrupted_journal_byte_for_byte(
     tmp_path, policy, learner
 ):
-    kinds = {"policy": POLICIES_HERE[policy], "learner": LEARNERS[learner], "stop": Designs(2)}
+    kinds = {
+        "policy": POLICIES_HERE[policy],
+        "learner": LEARNERS[learner],
+        "stop": Designs(2),
+    }
     whole = campaign(tmp_path / "whole", **kinds)
     whole.run(shoot, 9)
     assert [event["event"] for event in whole.journal.events] == [
@@ -115,7 +123,9 @@ def test_resuming_with_any_policy_and_learner_gives_the_uninterrupted_journal_by
         "stop",
     ]
     for events in (2, 3, 5, 6, 7, 8):
-        resumed = campaign(cut(tmp_path / "whole", tmp_path / f"cut{events}", events), **kinds)
+        resumed = campaign(
+            cut(tmp_path / "whole", tmp_path / f"cut{events}", events), **kinds
+        )
         resumed.run(shoot, 9)
         assert resumed.journal.path.read_bytes() == whole.journal.path.read_bytes()
 
@@ -157,7 +167,10 @@ def test_a_campaign_stops_before_the_experiment_that_is_not_worth_it_and_says_wh
     assert (part.sds / part.means).max() < 0.03
     before = steps[-2].belief.best if len(steps) > 1 else run.prior.best
     assert (before.sds / before.means).max() >= 0.03
-    assert campaign(tmp_path / "sd", stop=RelativeSd(0.03)).reason_to_stop() == run.reason_to_stop()
+    assert (
+        campaign(tmp_path / "sd", stop=RelativeSd(0.03)).reason_to_stop()
+        == run.reason_to_stop()
+    )
 
 
 def test_more_designs_may_be_asked_of_a_campaign_that_was_resumed(tmp_path):
@@ -182,8 +195,12 @@ def test_that_several_designs_are_asked_for_at_once_each_beside_those_before_it(
         run.ask_several(0)
 
 
-@pytest.mark.parametrize("policy", [QUICK, SpaceFilling()], ids=["optimal", "space-filling"])
-def test_that_a_campaign_of_several_designs_at_once_resumes_to_the_same_journal(tmp_path, policy):
+@pytest.mark.parametrize(
+    "policy", [QUICK, SpaceFilling()], ids=["optimal", "space-filling"]
+)
+def test_that_a_campaign_of_several_designs_at_once_resumes_to_the_same_journal(
+    tmp_path, policy
+):
     kinds = {"policy": policy}
     whole = campaign(tmp_path / "whole", **kinds)
     steps = whole.run(shoot, 3, q=2)
@@ -191,8 +208,12 @@ def test_that_a_campaign_of_several_designs_at_once_resumes_to_the_same_journal(
     names = ["start", "ask", "ask", "observed", "learnt", "ask", "observed", "learnt"]
     assert [event["event"] for event in whole.journal.events] == names
     cuts = range(2, len(names))
-    for events in cuts if policy is not QUICK else (2, 3, 5, 6):  # what is learnt is no policy's
-        resumed = campaign(cut(tmp_path / "whole", tmp_path / f"cut{events}", events), **kinds)
+    for events in (
+        cuts if policy is not QUICK else (2, 3, 5, 6)
+    ):  # what is learnt is no policy's
+        resumed = campaign(
+            cut(tmp_path / "whole", tmp_path / f"cut{events}", events), **kinds
+        )
         resumed.run(shoot, 3, q=2)
         assert resumed.journal.path.read_bytes() == whole.journal.path.read_bytes()
 

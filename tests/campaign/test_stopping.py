@@ -23,7 +23,11 @@ TIMES = linspace(0.0, 1.0, 4)
 
 
 def standing(
-    *, sd: float = 0.02, probability: float = 0.95, repeats: tuple[int, ...] = (10, 20), gain=None
+    *,
+    sd: float = 0.02,
+    probability: float = 0.95,
+    repeats: tuple[int, ...] = (10, 20),
+    gain=None,
 ) -> CampaignState:
     """G known within ``sd`` relative, mu within half of it, of a model of some probability;
     experiments of some repeats.
@@ -110,7 +114,10 @@ def test_rules_are_read_from_text():
             "patience=3",
             "'patience=3' is not a stopping rule; expected NAME=NUMBER with NAME of designs, sd, probability",
         ),
-        ("probability=1", "ModelProbability.above is 1.0; expected a probability between 0 and 1"),
+        (
+            "probability=1",
+            "ModelProbability.above is 1.0; expected a probability between 0 and 1",
+        ),
         ("designs=1:2", "is not a stopping rule; expected NAME=NUMBER"),
     ],
 )

@@ -40,7 +40,9 @@ def shoot(design, number):
     return LABORATORY.shoot(design, seed=child(0, "shoot", number))
 
 
-def campaign(folder, *, told: int = 0, simulator=None, seed: int = 0, **settings) -> Campaign:
+def campaign(
+    folder, *, told: int = 0, simulator=None, seed: int = 0, **settings
+) -> Campaign:
     """A campaign that was told the first of the curves."""
     settings = {
         "space": DesignSpace(),
@@ -65,7 +67,9 @@ def kinds(run: Campaign) -> list[str]:
 
 
 @pytest.mark.parametrize("again", [False, True], ids=["same object", "opened again"])
-def test_that_a_curve_that_was_told_is_refused_with_its_number_and_the_way_out(tmp_path, again):
+def test_that_a_curve_that_was_told_is_refused_with_its_number_and_the_way_out(
+    tmp_path, again
+):
     run = campaign(tmp_path, told=2)
     before = run.journal.path.read_bytes()
     run = campaign(tmp_path) if again else run
@@ -116,7 +120,11 @@ def test_that_after_forgetting_the_belief_is_that_of_the_other_curves(tmp_path, 
     again = campaign(tmp_path / "all", learner=learner)
     for known in (run, again):
         assert known.belief.to_dict() == others.belief.to_dict()
-        assert (known.numbers, known.told, [s.number for s in known.steps]) == ([1, 3], 3, [1, 3])
+        assert (known.numbers, known.told, [s.number for s in known.steps]) == (
+            [1, 3],
+            3,
+            [1, 3],
+        )
         assert [e.design for e in known.experiments] == [CURVES[0].design, CURVES[1].design]
     assert step.number == 3
     assert (tmp_path / "all" / "experiment_002.npz").exists()
@@ -136,7 +144,9 @@ def test_that_forgetting_the_last_curve_goes_back_to_the_step_before_without_lea
     assert campaign(tmp_path).experiments == []
 
 
-def test_that_designs_asked_for_with_a_forgotten_curve_in_the_belief_are_asked_for_anew(tmp_path):
+def test_that_designs_asked_for_with_a_forgotten_curve_in_the_belief_are_asked_for_anew(
+    tmp_path,
+):
     @dataclass(frozen=True)
     class Follows(Random):
         def choose_design(self, situation, *, progress=None):
@@ -164,14 +174,18 @@ def test_that_an_unknown_experiment_cannot_be_forgotten(tmp_path, number):
 
 def test_that_a_curve_that_cannot_be_simulated_is_not_recorded(tmp_path):
     run = campaign(tmp_path, simulator=LinearSimulator(fails=True))
-    with refused(r"cannot be simulated: all 8 gels drawn of each of newtonian, nhkv failed"):
+    with refused(
+        r"cannot be simulated: all 8 gels drawn of each of newtonian, nhkv failed"
+    ):
         run.tell(CURVES[0])
     assert not run.journal.path.exists()
     assert list(tmp_path.glob("*.npz")) == []
 
 
 @pytest.mark.parametrize(
-    "factor", [1e3, 1e-3], ids=["milliseconds read as seconds", "seconds read as milliseconds"]
+    "factor",
+    [1e3, 1e-3],
+    ids=["milliseconds read as seconds", "seconds read as milliseconds"],
 )
 def test_that_a_curve_whose_times_are_in_another_unit_is_not_recorded(tmp_path, factor):
     simulator = PolytropicSimulator()
@@ -193,7 +207,8 @@ def test_that_learning_that_fails_names_the_curve_and_forgetting_it_goes_on(tmp_
     loud = replace(CURVES[1], radius=CURVES[1].radius + 5.0)
     run = campaign(tmp_path, learner=StubLearner(fails_above=3.0), told=1)
     with refused(
-        r"did not converge.*experiment 2, which is in the journal.*--forget 2", ConvergenceError
+        r"did not converge.*experiment 2, which is in the journal.*--forget 2",
+        ConvergenceError,
     ):
         run.tell(loud)
     run = campaign(tmp_path, learner=StubLearner(fails_above=3.0))
@@ -250,7 +265,9 @@ def test_that_a_campaign_is_resumed_on_any_number_of_threads(tmp_path):
     ],
     ids=str,
 )
-def test_that_an_event_that_makes_no_sense_is_refused_by_line(tmp_path, place, change, message):
+def test_that_an_event_that_makes_no_sense_is_refused_by_line(
+    tmp_path, place, change, message
+):
     run = campaign(tmp_path, told=1)
     run.ask()
     events = run.journal.events
@@ -259,7 +276,9 @@ def test_that_an_event_that_makes_no_sense_is_refused_by_line(tmp_path, place, c
         campaign(tmp_path)
 
 
-def test_that_a_shot_that_failed_is_recorded_and_its_design_asked_again_then_moved(tmp_path):
+def test_that_a_shot_that_failed_is_recorded_and_its_design_asked_again_then_moved(
+    tmp_path,
+):
     @dataclass(frozen=True)
     class Away(Random):
         """Next to what is pending."""

@@ -42,12 +42,16 @@ def parameter_vector(case: Mapping[str, Any]) -> Tensor:
         UnsupportedError: for a constitutive model that is not in the registry.
     """
     model = case["equivalent_model"]
-    key, columns = MODELS.get(model, (model, {"G": "G_Pa", "mu": "mu_Pa_s", "alpha": "alpha"}))
+    key, columns = MODELS.get(
+        model, (model, {"G": "G_Pa", "mu": "mu_Pa_s", "alpha": "alpha"})
+    )
     if key not in MATERIALS or not set(MATERIALS[key].names) <= set(columns):
         raise UnsupportedError(
             f"Model {model!r} is not in the registry; known are {', '.join(MODELS)}."
         )
-    return PARAMETERS.pack({name: float(case[columns[name]]) for name in MATERIALS[key].names})
+    return PARAMETERS.pack(
+        {name: float(case[columns[name]]) for name in MATERIALS[key].names}
+    )
 
 
 def radius(case: Mapping[str, Any], t_star: np.ndarray) -> np.ndarray:

@@ -130,7 +130,9 @@ def lagging_zener(
     return memory - instant, change + instant * strain, -4.0 * mu / radius, change
 
 
-def _fastest(mu: Scalar, G: Scalar, alpha: Scalar, tau: Scalar, retardation: Scalar) -> Scalar:
+def _fastest(
+    mu: Scalar, G: Scalar, alpha: Scalar, tau: Scalar, retardation: Scalar
+) -> Scalar:
     return 1.0 / tau
 
 
@@ -167,7 +169,8 @@ def _values(config: Mapping[str, Any], names: tuple[str, ...]) -> dict[str, floa
     if "retardation" in names:
         times["retardation"] = (config["retardation_time_s"] or 0.0) / relaxation
     return {
-        name: float(times[name] if name in times else config[PARAMETER_OF[name]]) for name in names
+        name: float(times[name] if name in times else config[PARAMETER_OF[name]])
+        for name in names
     }
 
 
@@ -223,12 +226,17 @@ def _mixture(config: Mapping[str, Any]) -> GasMixture:
     size = config["initial_radius_m"]
     saturation = config["saturation_pressure_prefactor_pa"] * torch.exp(
         float64.tensor(
-            -config["saturation_pressure_temperature_k"] / config["far_field_temperature_k"],
+            -config["saturation_pressure_temperature_k"]
+            / config["far_field_temperature_k"],
         )
     )
     saturation = float(saturation) if config["vapour_pressure"] else 0.0
     start = (pressure + tension / rest - saturation) * (rest / size) ** 3 + saturation
-    share = 1.0 / (1.0 + air_mass / vapour_mass * (start / saturation - 1.0)) if saturation else 0.0
+    share = (
+        1.0 / (1.0 + air_mass / vapour_mass * (start / saturation - 1.0))
+        if saturation
+        else 0.0
+    )
 
     def mixed(name: str) -> float:
         return (

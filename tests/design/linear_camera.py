@@ -87,7 +87,11 @@ def correlated() -> Belief:
 
 def plan(**changes) -> Plan:
     return Plan(
-        **{"times": TIMES, "noise": Noise(slope=0.0, drift=0.0, floor=SIGMA), "collapses": None}
+        **{
+            "times": TIMES,
+            "noise": Noise(slope=0.0, drift=0.0, floor=SIGMA),
+            "collapses": None,
+        }
         | changes
     )
 

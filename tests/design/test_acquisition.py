@@ -19,7 +19,15 @@ from imr_torch.design import (
 )
 from imr_torch.errors import UnsupportedError
 from imr_torch.float64 import tensor
-from tests.design.linear_camera import DESIGNS, ONE, TWO, LinearCamera, acquisition, exact, plan
+from tests.design.linear_camera import (
+    DESIGNS,
+    ONE,
+    TWO,
+    LinearCamera,
+    acquisition,
+    exact,
+    plan,
+)
 from tests.refusals import refused
 
 THIRD = tensor([[150.0, 0.16]])
@@ -45,7 +53,9 @@ def test_that_pending_designs_count_in_the_joint_gain_and_none_restores_the_gain
         exact(ONE, torch.cat((THIRD, DESIGNS)), plan()), rel=1e-7
     )
     assert gain(THIRD[None]) > alone + 0.5
-    assert gain.estimate(DESIGNS[:0]).value == pytest.approx(exact(ONE, DESIGNS, plan()), rel=1e-7)
+    assert gain.estimate(DESIGNS[:0]).value == pytest.approx(
+        exact(ONE, DESIGNS, plan()), rel=1e-7
+    )
     gain.set_X_pending(None)
     assert torch.equal(gain(THIRD[None]), alone)
 
@@ -100,7 +110,8 @@ def test_that_the_gain_about_the_model_is_never_above_the_entropy_of_the_models(
     values.append(torch.tensor([g.value for g in search.gains]))
     assert torch.cat([v.flatten().double() for v in values]).max() <= ENTROPY + 1e-9
     assert all(
-        g.parameters == 0.0 and g.variance == g.of_target("model").variance for g in search.gains
+        g.parameters == 0.0 and g.variance == g.of_target("model").variance
+        for g in search.gains
     )
 
 
@@ -134,7 +145,10 @@ class LogWeber(InformationEstimator):
     scale: float = 1.0
 
     def __call__(self, shot, generator):
-        value = self.scale * float(-((shot.designs[:, 0].log() - math.log(500.0)) ** 2).sum()) + 3.0
+        value = (
+            self.scale * float(-((shot.designs[:, 0].log() - math.log(500.0)) ** 2).sum())
+            + 3.0
+        )
         return InformationGain(value, 0.0, variance=1e-6, counted=2, drawn=2)
 
 

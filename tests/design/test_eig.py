@@ -111,7 +111,8 @@ def model_information(belief, how, count=40000):
         y = law.sample((count,))
         logs = torch.stack([other.log_prob(y) for other in laws])
         value += float(
-            weights[i].exp() * (logs[i] - torch.logsumexp(logs + weights[:, None], 0)).mean()
+            weights[i].exp()
+            * (logs[i] - torch.logsumexp(logs + weights[:, None], 0)).mean()
         )
     return value
 

@@ -9,7 +9,8 @@ import pytest
 import imr_torch.design
 
 MODULES = [
-    f"imr_torch.design.{info.name}" for info in pkgutil.iter_modules(imr_torch.design.__path__)
+    f"imr_torch.design.{info.name}"
+    for info in pkgutil.iter_modules(imr_torch.design.__path__)
 ]
 SHOWN = {
     "acquisition",
@@ -22,6 +23,8 @@ SHOWN = {
 
 @pytest.mark.parametrize("name", MODULES)
 def test_that_the_examples_of_a_module_are_right(name):
-    found = doctest.testmod(importlib.import_module(name), optionflags=doctest.NORMALIZE_WHITESPACE)
+    found = doctest.testmod(
+        importlib.import_module(name), optionflags=doctest.NORMALIZE_WHITESPACE
+    )
     assert found.failed == 0
     assert found.attempted > 0 or name.rpartition(".")[2] not in SHOWN

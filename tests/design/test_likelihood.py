@@ -26,9 +26,9 @@ def shot(plan):
 
 def test_data_scatter_about_their_gel_as_the_plan_says():
     plan = Plan(times=TIMES, repeats=4, noise=Noise(correlation_time=0.1))
-    seen = simulate_response(shot(plan), PART, CONTROLS[:1].expand(4000, -1)[:1], gel=False)[
-        torch.zeros(4000, dtype=torch.long)
-    ]
+    seen = simulate_response(
+        shot(plan), PART, CONTROLS[:1].expand(4000, -1)[:1], gel=False
+    )[torch.zeros(4000, dtype=torch.long)]
     data = observe_gels(seen, plan, generator(0))
     standard = (data.radius - seen.radius) / plan.noise.sd(seen.radius, TIMES) * 2.0
     covariance = torch.cov(standard[:, 0].mT)
@@ -48,16 +48,24 @@ def test_sensitivities_are_the_derivatives_of_what_is_seen():
         side[i] = step
         up, down = (radii(shot(plan), PART, CONTROLS + s * side) for s in (1.0, -1.0))
         difference = (up - down) / (2.0 * step)
-        assert (seen.by_gel[..., i] - difference).abs().max() < 0.02 * difference.abs().max()
+        assert (
+            seen.by_gel[..., i] - difference
+        ).abs().max() < 0.02 * difference.abs().max()
         curves = []
         for sign in (1.0, -1.0):
             shift = sign * 0.01 * nuisance.sds() * eye(3)[i]
-            true, times, factor = displaced(DESIGNS, TIMES.expand(2, -1), shift.expand(2, 3))
+            true, times, factor = displaced(
+                DESIGNS, TIMES.expand(2, -1), shift.expand(2, 3)
+            )
             curves.append(
                 SIMULATOR(
-                    PART.parameters(PART.mean + CONTROLS @ PART.chol.mT)[:, None], true, times
+                    PART.parameters(PART.mean + CONTROLS @ PART.chol.mT)[:, None],
+                    true,
+                    times,
                 ).radius
                 * factor
             )
         difference = (curves[0] - curves[1]) / 0.02
-        assert (seen.by_nuisance[..., i] - difference).abs().max() < 0.02 * difference.abs().max()
+        assert (
+            seen.by_nuisance[..., i] - difference
+        ).abs().max() < 0.02 * difference.abs().max()

@@ -13,16 +13,22 @@ from imr_torch.design import (
 from imr_torch.errors import InputDataError
 from tests.design.linear_camera import ONE, LinearCamera, plan
 
-GRID = [(w, r) for w in (150.0, 300.0, 500.0, 700.0, 900.0) for r in (0.16, 0.2, 0.24, 0.28)]
+GRID = [
+    (w, r) for w in (150.0, 300.0, 500.0, 700.0, 900.0) for r in (0.16, 0.2, 0.24, 0.28)
+]
 
 
 def list_designs(costs=None):
-    rows = tuple((w, r, c) for (w, r), c in zip(GRID, costs or [1.0] * len(GRID), strict=True))
+    rows = tuple(
+        (w, r, c) for (w, r), c in zip(GRID, costs or [1.0] * len(GRID), strict=True)
+    )
     return ListedDesigns(rows=rows)
 
 
 def search(space, *, evaluations=14, q=1):
-    gain = ExpectedInformationGain(ONE, LinearCamera(), Laplace(4), plan=plan(), space=space)
+    gain = ExpectedInformationGain(
+        ONE, LinearCamera(), Laplace(4), plan=plan(), space=space
+    )
     return gain, search_design(gain, seed=2, evaluations=evaluations, initial=6, q=q)
 
 
@@ -33,14 +39,18 @@ def test_that_a_search_evaluates_designs_of_the_list_alone_and_finds_the_best():
         rows = torch.cdist(step.designs, space.listed).min(1)
         assert rows.values.max() == 0.0
         assert len(rows.indices.unique()) == 14  # none twice
-    first = torch.stack([torch.tensor(gain.estimate(d[None], seed=5).value) for d in space.listed])
+    first = torch.stack(
+        [torch.tensor(gain.estimate(d[None], seed=5).value) for d in space.listed]
+    )
     assert torch.cdist(found.chosen, space.listed).min(1).values.max() == 0.0
     best = gain.estimate(found.chosen[:1], seed=5).value
     assert best > first.max() - 0.05
 
 
 def test_that_a_list_shorter_than_the_evaluations_is_evaluated_once():
-    _, found = search(ListedDesigns(rows=((150.0, 0.2, 1.0), (600.0, 0.2, 1.0), (900.0, 0.2, 1.0))))
+    _, found = search(
+        ListedDesigns(rows=((150.0, 0.2, 1.0), (600.0, 0.2, 1.0), (900.0, 0.2, 1.0)))
+    )
     assert sorted(found.designs[:, 0].tolist()) == [150.0, 600.0, 900.0]
 
 
@@ -55,7 +65,9 @@ def test_that_the_gain_is_over_the_cost_of_a_shot():
     assert dear.joint == pytest.approx(shown, abs=4.0 * dear.recommendation.sd + 0.05)
     doubled = search(list_designs([2.0] * len(GRID)), evaluations=20)[1]
     assert torch.equal(doubled.chosen, cheap.chosen)
-    assert doubled.joint == pytest.approx(cheap.joint, abs=0.02)  # nats of the shot, not per cost
+    assert doubled.joint == pytest.approx(
+        cheap.joint, abs=0.02
+    )  # nats of the shot, not per cost
 
 
 @pytest.mark.parametrize(

@@ -53,7 +53,9 @@ def test_that_the_gain_about_the_model_is_that_of_brute_nested_monte_carlo(
     low, high, error = brute(design)
     found = [gain(design, estimator, seed) for seed in range(2, 2 + seeds)]
     value = sum(g.model for g in found) / seeds
-    spread = (error**2 + sum(g.of_target("model").variance for g in found) / seeds**2) ** 0.5
+    spread = (
+        error**2 + sum(g.of_target("model").variance for g in found) / seeds**2
+    ) ** 0.5
     assert low - TOLERANCE - 2.0 * spread < value < high + TOLERANCE + 2.0 * spread
 
 

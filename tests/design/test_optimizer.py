@@ -60,7 +60,12 @@ def test_the_recommendation_is_not_the_best_noisy_value():
     optimizer = run(8)
     lucky = tensor([[150.0, 0.29]])
     poor = full((1, 1), float(utility(lucky)))
-    for shift in (-1.0, 1.0, 6.0, -6.0):  # one lucky value among unlucky ones at a poor design
+    for shift in (
+        -1.0,
+        1.0,
+        6.0,
+        -6.0,
+    ):  # one lucky value among unlucky ones at a poor design
         optimizer.tell(lucky, poor + shift, full((1, 1), 20.0))
     assert optimizer.train_Y.max() > 4.0
     assert (optimizer.recommend().design - PEAK).abs()[1] < 0.05
@@ -89,12 +94,18 @@ def test_initial_asks_fill_the_space_and_do_not_repeat():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"Y": float("nan")}, r"Y\[0\] is nan at design \[300.0, 0.2\]; expected a finite number"),
+        (
+            {"Y": float("nan")},
+            r"Y\[0\] is nan at design \[300.0, 0.2\]; expected a finite number",
+        ),
         (
             {"Yvar": float("inf")},
             r"Yvar\[0\] is inf at design .*expected a finite positive variance",
         ),
-        ({"Yvar": 0.0}, r"Yvar\[0\] is 0.0 at design .*expected a finite positive variance"),
+        (
+            {"Yvar": 0.0},
+            r"Yvar\[0\] is 0.0 at design .*expected a finite positive variance",
+        ),
         (
             {"X": [30.0, 0.2]},
             r"\(30, 0.2\) is outside We \[100.0, 1000.0\], R_inf\* \[0.14, 0.3\]; shoot inside",

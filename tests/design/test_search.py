@@ -18,7 +18,15 @@ from imr_torch.observe import Noise
 from imr_torch.random import generator
 from imr_torch.results import document_report, header
 from imr_torch.units import Surroundings
-from tests.design.linear_camera import DESIGNS, ONE, TWO, LinearCamera, acquisition, exact, plan
+from tests.design.linear_camera import (
+    DESIGNS,
+    ONE,
+    TWO,
+    LinearCamera,
+    acquisition,
+    exact,
+    plan,
+)
 from tests.design.test_optimizer import PartlyFailing
 from tests.refusals import refused
 
@@ -55,14 +63,17 @@ def test_that_the_best_design_of_a_small_space_is_said_to_lie_at_its_end():
     weber = float(found.recommendation.design[0])
     low, high = (exact(ONE, tensor([[w, 0.2]]), plan()) for w in space.weber)
     assert weber == pytest.approx(330.0 if high > low else 300.0, abs=0.3)
-    assert f"We is the {'largest' if high > low else 'smallest'} of 300 to 330" in document_report(
-        header("design") | document
+    assert (
+        f"We is the {'largest' if high > low else 'smallest'} of 300 to 330"
+        in document_report(header("design") | document)
     )
     assert not space.name_edges(tensor([315.0, 0.205]))
 
 
 def test_that_pending_designs_are_subtracted_from_what_a_search_reports():
-    search = search_design(acquisition(X_pending=DESIGNS), seed=0, evaluations=10, initial=6)
+    search = search_design(
+        acquisition(X_pending=DESIGNS), seed=0, evaluations=10, initial=6
+    )
     both = torch.cat((search.chosen, DESIGNS))
     added = exact(ONE, both, plan()) - exact(ONE, DESIGNS, plan())
     assert search.recommendation.mean == pytest.approx(added, abs=0.15)
@@ -72,7 +83,9 @@ def test_that_pending_designs_that_cannot_be_simulated_end_the_search_with_a_rea
     gain = ExpectedInformationGain(
         ONE, PartlyFailing(), Laplace(draws=4), plan=plan(), X_pending=DESIGNS[1:]
     )
-    with refused("0 of 4 draws could be simulated at the pending designs", ConvergenceError):
+    with refused(
+        "0 of 4 draws could be simulated at the pending designs", ConvergenceError
+    ):
         search_design(gain, seed=0, **QUICK)
 
 
@@ -81,7 +94,10 @@ def test_that_pending_designs_that_cannot_be_simulated_end_the_search_with_a_rea
     [
         ({"q": 0}, "q is 0; expected at least 1"),
         ({"batch": 0}, "batch is 0; expected at least 1"),
-        ({"evaluations": 3, "initial": 4}, "evaluations is 3, fewer than the 4 initial designs"),
+        (
+            {"evaluations": 3, "initial": 4},
+            "evaluations is 3, fewer than the 4 initial designs",
+        ),
     ],
 )
 def test_that_an_impossible_search_is_refused(options, message):
@@ -113,7 +129,9 @@ def test_that_the_error_of_the_mean_over_designs_is_the_common_part():
 
 
 def test_that_a_recommendation_has_the_common_error_and_its_surrogate_has_not():
-    gain = ExpectedInformationGain(TWO, LinearCamera(), Laplace(draws=16, rivals=8), plan=NOISY)
+    gain = ExpectedInformationGain(
+        TWO, LinearCamera(), Laplace(draws=16, rivals=8), plan=NOISY
+    )
     search = search_design(gain, seed=0, evaluations=6, initial=5)
     errors = separate_errors(search.gains)
     assert torch.allclose(search.optimizer.train_Yvar[:, 0], errors.own.clamp_min(1e-8))

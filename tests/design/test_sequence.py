@@ -36,9 +36,13 @@ class Line(FormulaSimulator):
         return parameters[:, PARAMETERS.index(["G"])[0]] > self.limit
 
 
-WIDE = Belief.prior({"nhkv": {"G": TruncatedNormal(1.0, 0.1), "mu": TruncatedNormal(1.0, 0.1)}})
+WIDE = Belief.prior(
+    {"nhkv": {"G": TruncatedNormal(1.0, 0.1), "mu": TruncatedNormal(1.0, 0.1)}}
+)
 PLAN = Plan(
-    times=linspace(0.0, 1.0, 6), noise=Noise(floor=1e-4, slope=0.0, drift=0.0), collapses=None
+    times=linspace(0.0, 1.0, 6),
+    noise=Noise(floor=1e-4, slope=0.0, drift=0.0),
+    collapses=None,
 )
 
 
@@ -53,7 +57,10 @@ def test_that_a_line_is_shot_at_its_ends_in_turn():
 
 
 def test_that_bubbles_that_fail_tell_nothing():
-    assert choose(2, camera=Line(limit=-9.0)) == [100.0, 100.0]  # all tell as much: the first
+    assert choose(2, camera=Line(limit=-9.0)) == [
+        100.0,
+        100.0,
+    ]  # all tell as much: the first
 
 
 def test_that_information_counts_per_cost():
@@ -64,9 +71,12 @@ def test_that_information_counts_per_cost():
 
 
 @pytest.mark.parametrize(
-    ("degree", "best"), [(1, {-1.0: 1 / 2, 1.0: 1 / 2}), (2, {-1.0: 1 / 3, 0.0: 1 / 3, 1.0: 1 / 3})]
+    ("degree", "best"),
+    [(1, {-1.0: 1 / 2, 1.0: 1 / 2}), (2, {-1.0: 1 / 3, 0.0: 1 / 3, 1.0: 1 / 3})],
 )
-def test_that_the_optimum_of_benchmarks_is_that_of_the_textbook_and_its_bound_holds(degree, best):
+def test_that_the_optimum_of_benchmarks_is_that_of_the_textbook_and_its_bound_holds(
+    degree, best
+):
     at = linspace(-1.0, 1.0, 41)
     regressors = torch.stack([at**power for power in range(degree + 1)], 1)
 

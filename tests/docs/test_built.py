@@ -55,7 +55,8 @@ class Page(HTMLParser):
 def dead_links(folder):
     """Links within a folder of pages that lead to no file, or to no place in it."""
     pages = {
-        path.resolve(): Page(path.read_text(encoding="utf-8")) for path in folder.rglob("*.html")
+        path.resolve(): Page(path.read_text(encoding="utf-8"))
+        for path in folder.rglob("*.html")
     }
     dead = defaultdict(set)
     for path, page in pages.items():
@@ -129,7 +130,8 @@ def test_that_the_search_finds_a_page_by_its_words(site, browser):
     page.goto(f"{site}/search.html?q=medium")
     page.wait_for_selector("#search-results li a", timeout=20000)
     assert any(
-        "medium" in text.lower() for text in page.locator("#search-results li a").all_inner_texts()
+        "medium" in text.lower()
+        for text in page.locator("#search-results li a").all_inner_texts()
     )
     page.close()
 

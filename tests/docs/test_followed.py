@@ -82,7 +82,9 @@ def of_arrays(folder: Path) -> None:
 
 
 def blocks(page: str, language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", (HOWTO / f"{page}.md").read_text(), re.DOTALL)
+    return re.findall(
+        rf"```{language}\n(.*?)```", (HOWTO / f"{page}.md").read_text(), re.DOTALL
+    )
 
 
 def cheaper(arguments: list[str]) -> list[str]:

@@ -40,14 +40,17 @@ def test_that_every_public_name_has_its_place_in_the_interface(extensions):
         for e in found
     }
     names = {
-        package: extensions["api"].public_names(importlib.import_module(f"imr_torch.{package}"))
+        package: extensions["api"].public_names(
+            importlib.import_module(f"imr_torch.{package}")
+        )
         for package in pages
     }
     missing = [
         f"{package}.{name}"
         for package, listed in names.items()
         for name in listed
-        if id(getattr(importlib.import_module(f"imr_torch.{package}"), name)) not in documented
+        if id(getattr(importlib.import_module(f"imr_torch.{package}"), name))
+        not in documented
     ]
     assert missing == []
     assert all(id(getattr(imr_torch, name)) in documented for name in imr_torch.__all__)
@@ -87,12 +90,16 @@ def commands() -> list[tuple[str, str]]:
     for path in WRITTEN:
         for block in re.findall(r"```shell\n(.*?)```", path.read_text(), re.DOTALL):
             found += [
-                (path.name, line) for line in block.splitlines() if line.startswith("imr-torch ")
+                (path.name, line)
+                for line in block.splitlines()
+                if line.startswith("imr-torch ")
             ]
     return found
 
 
-@pytest.mark.parametrize(("page", "line"), [x for x in commands() if "--version" not in x[1]])
+@pytest.mark.parametrize(
+    ("page", "line"), [x for x in commands() if "--version" not in x[1]]
+)
 def test_that_a_command_of_the_documentation_has_options_that_exist(page, line):
     words = shlex.split(line, comments=True)[1:]
     assert build_parser().parse_args(words).command == words[0]
@@ -100,7 +107,8 @@ def test_that_a_command_of_the_documentation_has_options_that_exist(page, line):
 
 def examples() -> list:
     blocks = (
-        (path, re.findall(r"```python\n(.*?)```", path.read_text(), re.DOTALL)) for path in WRITTEN
+        (path, re.findall(r"```python\n(.*?)```", path.read_text(), re.DOTALL))
+        for path in WRITTEN
     )
     return [
         pytest.param(code, id=f"{path.stem}-{number}")
@@ -119,12 +127,14 @@ def test_that_an_example_in_python_runs(code, tmp_path, monkeypatch):
 
 def test_that_every_page_of_tasks_is_in_the_table_of_contents():
     listed = re.search(
-        r"```\{toctree\}\n.*?\n\n(.*?)```", (DOCS / "howto" / "index.md").read_text(), re.DOTALL
+        r"```\{toctree\}\n.*?\n\n(.*?)```",
+        (DOCS / "howto" / "index.md").read_text(),
+        re.DOTALL,
     )
     assert listed is not None
-    assert set(listed[1].split()) == {path.stem for path in (DOCS / "howto").glob("*.md")} - {
-        "index"
-    }
+    assert set(listed[1].split()) == {
+        path.stem for path in (DOCS / "howto").glob("*.md")
+    } - {"index"}
 
 
 def test_that_commands_were_found():
@@ -135,7 +145,9 @@ def test_that_a_class_or_function_is_documented_by_its_own_directive(extensions)
     for found in extensions["api"].entries().values():
         for entry in found:
             value = getattr(importlib.import_module(entry.module), entry.name)
-            is_shape = hasattr(value, "dim_str")  # the annotation of a tensor, a class to Python
+            is_shape = hasattr(
+                value, "dim_str"
+            )  # the annotation of a tensor, a class to Python
             own = inspect.isclass(value) and not is_shape
             assert (entry.kind in ("class", "exception")) == own
 
@@ -145,9 +157,14 @@ def test_that_the_results_name_every_record_and_command_of_the_benchmarks_and_no
     text = (folder / "RESULTS.md").read_text()
     named = set(re.findall(r"records/(\w+)\.jsonl", text))
     assert named == {path.stem for path in (folder / "records").glob("*.jsonl")}
-    run = {name.replace(".", "/") for name in re.findall(r"python -m benchmarks\.([\w.]+)", text)}
+    run = {
+        name.replace(".", "/")
+        for name in re.findall(r"python -m benchmarks\.([\w.]+)", text)
+    }
     files = {path.relative_to(folder) for path in folder.rglob("*.py")}
-    commands = {path for path in files if '__name__ == "__main__"' in (folder / path).read_text()}
+    commands = {
+        path for path in files if '__name__ == "__main__"' in (folder / path).read_text()
+    }
     assert {str(path.with_suffix("")).removesuffix("/__main__") for path in commands} == run
 
 

@@ -6,7 +6,15 @@ import pytest
 from imr_torch.assimilate import SearchOptions, weigh
 from imr_torch.export import to_arviz
 from imr_torch.observe import ExperimentBatch, GelMedium, Nuisance
-from tests.linear import NHKV, LinearSimulator, exact, experiments, fit_linear, prior, tensor
+from tests.linear import (
+    NHKV,
+    LinearSimulator,
+    exact,
+    experiments,
+    fit_linear,
+    prior,
+    tensor,
+)
 from tests.refusals import refused
 
 pytest.importorskip("arviz_base", reason="needs the extra arviz")
@@ -32,7 +40,12 @@ def test_that_every_model_has_the_groups_of_the_schema_with_named_axes(weighted)
     }
     assert branch["posterior"]["G"].dims == ("chain", "draw")
     assert branch["posterior"]["G"].shape == (1, 200)
-    assert branch["posterior"]["nuisances"].dims == ("chain", "draw", "experiment", "nuisance")
+    assert branch["posterior"]["nuisances"].dims == (
+        "chain",
+        "draw",
+        "experiment",
+        "nuisance",
+    )
     assert branch["posterior"]["nuisance"].values.tolist() == [
         "max_radius",
         "time_zero",
@@ -58,7 +71,9 @@ def test_that_draws_have_the_posteriors_moments(weighted):
     mean = part.physical(truth.mean)
     sd = slopes * truth.covariance.diagonal().sqrt()
     for i, name in enumerate(part.names):
-        assert posterior[name].mean() == pytest.approx(float(mean[i]), abs=0.1 * float(sd[i]))
+        assert posterior[name].mean() == pytest.approx(
+            float(mean[i]), abs=0.1 * float(sd[i])
+        )
         assert posterior[name].std() == pytest.approx(float(sd[i]), rel=0.08)
     found = posterior["nuisances"].mean(("chain", "draw")).values
     np.testing.assert_allclose(found, truth.nuisances.numpy(), atol=0.12)
@@ -91,7 +106,9 @@ def test_that_arvizs_leave_one_out_is_the_evidence_of_all_over_that_of_the_other
         rest = tuple(x for i, x in enumerate(batch.experiments) if i != e)
         others = ExperimentBatch(rest, batch.noise)
         truth = exact(part, batch).log_evidence - exact(part, others).log_evidence
-        assert np.logaddexp.reduce(weights + likelihood) == pytest.approx(float(truth), abs=0.2)
+        assert np.logaddexp.reduce(weights + likelihood) == pytest.approx(
+            float(truth), abs=0.2
+        )
     assert min(shapes) < 0.7
 
 
@@ -113,7 +130,9 @@ def test_that_a_fit_without_weights_gives_its_gaussian(weighted):
     branch = to_arviz(fit, seed=0, draws=4000)["nhkv"]
     assert set(branch.children) == {"posterior", "observed_data", "constant_data"}
     expected = fit["nhkv"].posterior
-    assert branch["posterior"]["G"].mean() == pytest.approx(float(expected.means[0]), rel=0.02)
+    assert branch["posterior"]["G"].mean() == pytest.approx(
+        float(expected.means[0]), rel=0.02
+    )
     assert branch["posterior"]["G"].std() == pytest.approx(float(expected.sds[0]), rel=0.05)
 
 
@@ -137,7 +156,11 @@ def test_that_a_file_holds_the_tree(weighted, tmp_path):
             back["nhkv/posterior"]["G"].values, tree["nhkv/posterior"]["G"].values
         )
         assert back["nhkv/posterior"]["G"].attrs["units"] == "Pa"
-        assert back["nhkv/observed_data"]["experiment"].values.tolist() == ["e0", "e1", "e2"]
+        assert back["nhkv/observed_data"]["experiment"].values.tolist() == [
+            "e0",
+            "e1",
+            "e2",
+        ]
 
 
 def test_that_no_draw_is_refused(weighted):

@@ -22,14 +22,20 @@ def test_that_parameters_and_curves_are_struct_arrays_in_us_and_um(result, tmp_p
     for name, (low, middle, high) in document["models"]["nhkv"]["intervals"].items():
         row = read["parameters"][names.index(name)]
         assert (row["low"], row["median"], row["high"]) == (low, middle, high)
-    for curve, trace, wanted in zip(read["curves"], result.traces, document["curves"], strict=True):
+    for curve, trace, wanted in zip(
+        read["curves"], result.traces, document["curves"], strict=True
+    ):
         start = 1e6 * wanted["time_of_max_s"]
         assert curve["id"] == trace.experiment_id
-        assert curve["time_us"] + start == pytest.approx(1e6 * trace.time_s.numpy(), abs=1e-6)
+        assert curve["time_us"] + start == pytest.approx(
+            1e6 * trace.time_s.numpy(), abs=1e-6
+        )
         assert curve["radius_um"] == pytest.approx(1e6 * trace.radius_m.numpy())
         fitted_frames = curve["fitted"] > 0
         near = np.interp(
-            curve["time_us"][fitted_frames], curve["model_time_us"], curve["model_radius_um"]
+            curve["time_us"][fitted_frames],
+            curve["model_time_us"],
+            curve["model_radius_um"],
         )
         left = curve["radius_um"][fitted_frames] - near
         assert curve["asphericity"].size == 0

@@ -40,7 +40,13 @@ def test_that_shapes_and_dtypes_are_those_of_the_contract(dtype):
     x = simulate(theta)
     assert density.shape == (5,)
     assert x.shape == (5, 18)
-    assert {theta.dtype, density.dtype, x.dtype, given.mean.dtype, given.variance.dtype} == {dtype}
+    assert {
+        theta.dtype,
+        density.dtype,
+        x.dtype,
+        given.mean.dtype,
+        given.variance.dtype,
+    } == {dtype}
     assert simulate(theta[0]).shape == (18,)
     assert torch.isfinite(x).all()
 
@@ -68,7 +74,9 @@ def test_that_the_support_is_where_the_density_is():
     assert given.support.check(theta).tolist() == [True, False, False, False]
     assert torch.isfinite(given.log_prob(theta)).tolist() == [True, False, False, False]
     free = float64.randn(6, 2, generator=torch.Generator().manual_seed(0))
-    to_support = torch.distributions.biject_to(given.support)  # how sbi's samplers keep inside
+    to_support = torch.distributions.biject_to(
+        given.support
+    )  # how sbi's samplers keep inside
     inside = to_support(free)
     assert given.support.check(inside).all()
     assert_close(to_support.inv(inside), free)
@@ -93,7 +101,9 @@ def test_that_noise_is_correlated_within_a_curve_and_nuisances_move_whole_curves
     theta = MIDDLE.expand(4000, 2)
     correlation = torch.corrcoef(simulate(theta).mT)
     gap = float(TIMES[1] - TIMES[0])
-    assert correlation[0, 1] == pytest.approx(torch.exp(tensor(-gap / 0.3)[0]).item(), abs=0.05)
+    assert correlation[0, 1] == pytest.approx(
+        torch.exp(tensor(-gap / 0.3)[0]).item(), abs=0.05
+    )
     assert abs(correlation[0, 9]) < 0.06  # another design
     _, simulate = pair(
         noise=Noise(floor=1e-6, slope=0.0, drift=0.0),
@@ -127,7 +137,11 @@ def test_that_simulations_depend_on_the_seed_and_go_on_from_call_to_call():
             ShapeError,
             r"theta has shape \(3, 5\); expected n x 2 with \('G', 'mu'\)",
         ),
-        (lambda: pair(dtype=torch.float16), InputDataError, r"dtype is torch.float16; expected"),
+        (
+            lambda: pair(dtype=torch.float16),
+            InputDataError,
+            r"dtype is torch.float16; expected",
+        ),
         (
             lambda: sbi_simulator(PART, LinearSimulator(), DESIGNS[0], TIMES, seed=0),
             ShapeError,

@@ -32,7 +32,8 @@ def shoot(
     truth = predict(SIMULATOR, PARAMETERS.pack(GEL | effect)[None], plan)[0]
     source = generator(seed)
     rows = [
-        Noise().draw(r, times, repeats, generator=source) if repeats else r[None] for r in truth
+        Noise().draw(r, times, repeats, generator=source) if repeats else r[None]
+        for r in truth
     ]
     known = nuisance or Nuisance()
     return ExperimentBatch(
@@ -43,7 +44,9 @@ def shoot(
     )
 
 
-def fit(batch: ExperimentBatch, hypothesis: Hypothesis | None = None, **effect: float) -> ModelFit:
+def fit(
+    batch: ExperimentBatch, hypothesis: Hypothesis | None = None, **effect: float
+) -> ModelFit:
     """A fit of a hypothesis from the true gel and given values of its effects."""
     prior = (hypothesis or Hypothesis(BASE)).belief
     values = GEL | effect
@@ -51,7 +54,9 @@ def fit(batch: ExperimentBatch, hypothesis: Hypothesis | None = None, **effect: 
     starts = torch.stack((start, start + 0.003))
     belief = Belief((prior,), zeros(1))
     options = SearchOptions(starts=2)
-    return assimilate(belief, batch, SIMULATOR, seed=0, options=options, starts=[starts]).fits[0]
+    return assimilate(
+        belief, batch, SIMULATOR, seed=0, options=options, starts=[starts]
+    ).fits[0]
 
 
 CAUSES = {"strain_stiffening": {"alpha": 0.05}, "damage": {"damage": 0.02}}

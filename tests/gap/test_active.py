@@ -27,7 +27,9 @@ PLAN = Plan(times=linspace(0.0, 2.5, 51), repeats=3, collapses=None)
 def settings(above: float = 0.8) -> CampaignSettings:
     learner = CauseLearner(OFFERED)
     policy = TellCausesApart(learner, designs=4, draws=4)
-    return CampaignSettings(plan=PLAN, policy=policy, learner=learner, stop=CauseProbability(above))
+    return CampaignSettings(
+        plan=PLAN, policy=policy, learner=learner, stop=CauseProbability(above)
+    )
 
 
 def campaign(folder: Path, above: float = 0.8) -> Campaign:
@@ -74,7 +76,9 @@ def test_that_a_campaign_without_a_gap_names_no_cause(tmp_path):
     last = found.steps[-1].finding
     assert last is not None
     assert (last.verdict, last.causes) == ("none", ())
-    assert found.reason_to_stop() is None or "nothing is missing" in str(found.reason_to_stop())
+    assert found.reason_to_stop() is None or "nothing is missing" in str(
+        found.reason_to_stop()
+    )
     assert "no cause has to be told" in found.ask().reason
 
 
@@ -113,7 +117,11 @@ def test_that_several_models_or_designs_at_once_are_refused(tmp_path):
     with refused("one design at a time"):
         own.ask_several(2)
     both = Campaign(
-        tmp_path / "two", wide_prior(("nhkv", "gen_qkv")), SIMULATOR, settings=settings(), seed=1
+        tmp_path / "two",
+        wide_prior(("nhkv", "gen_qkv")),
+        SIMULATOR,
+        settings=settings(),
+        seed=1,
     )
     with refused("holds 2"):
         both.tell(shoot({})(tensor([400.0, 0.2]), 1))

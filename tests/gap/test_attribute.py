@@ -29,7 +29,9 @@ def test_that_the_credible_set_is_the_smallest_that_reaches_its_level():
 def test_that_a_winner_whose_fit_was_cut_short_is_fitted_to_the_end(monkeypatch):
     batch = shoot({"gas_loss": 0.2})
     null = fit(batch)
-    monkeypatch.setattr("imr_torch.gap.attribute._FIT", SearchOptions(starts=2, iterations=2))
+    monkeypatch.setattr(
+        "imr_torch.gap.attribute._FIT", SearchOptions(starts=2, iterations=2)
+    )
     found = attribute(
         Inquiry(BASE, batch, SIMULATOR, EFFECTS),
         null,
@@ -40,7 +42,9 @@ def test_that_a_winner_whose_fit_was_cut_short_is_fitted_to_the_end(monkeypatch)
     assert found.winner.name == "gas_loss"
     assert found.fits["gas_loss"].certificate.converged
     assert not found.fits["surface_tension"].certificate.converged
-    assert found.log_evidence["gas_loss"] == pytest.approx(laplace_evidence(found.fits["gas_loss"]))
+    assert found.log_evidence["gas_loss"] == pytest.approx(
+        laplace_evidence(found.fits["gas_loss"])
+    )
 
 
 def test_that_a_fit_that_does_not_converge_is_left_out_and_the_next_one_leads(monkeypatch):
@@ -52,7 +56,9 @@ def test_that_a_fit_that_does_not_converge_is_left_out_and_the_next_one_leads(mo
         loose = replace(found.certificate, converged=converged, gradient=1.0)
         return replace(found, certificate=loose)
 
-    monkeypatch.setattr("imr_torch.gap.attribute._FIT", SearchOptions(starts=2, iterations=1))
+    monkeypatch.setattr(
+        "imr_torch.gap.attribute._FIT", SearchOptions(starts=2, iterations=1)
+    )
     monkeypatch.setattr("imr_torch.gap.attribute.finish", never)
     inquiry = Inquiry(BASE, batch, SIMULATOR, (LIBRARY["gas_loss"], LIBRARY["wall"]))
     before = adequacy_test(null, inquiry.effects, batch, SIMULATOR, seed=1)
@@ -76,9 +82,9 @@ def test_that_an_effect_found_beside_a_wrong_one_is_taken_alone_if_it_explains_m
         seed=0,
     )
     inquiry = Inquiry(BASE, batch, SIMULATOR, (wrong, right))
-    both = fit_hypotheses(inquiry, [Hypothesis(BASE, (wrong, right))], first.fits["wall"], seed=0)[
-        "wall+gas_loss"
-    ]
+    both = fit_hypotheses(
+        inquiry, [Hypothesis(BASE, (wrong, right))], first.fits["wall"], seed=0
+    )["wall+gas_loss"]
     before = adequacy_test(null, inquiry.effects, batch, SIMULATOR, seed=0)
     again = reconsider(inquiry, first, "gas_loss", both, before=before, seed=0)
     assert again.winner.name == "gas_loss"

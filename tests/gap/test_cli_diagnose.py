@@ -15,7 +15,13 @@ from imr_torch.material import PARAMETERS
 from imr_torch.observe import SimulatedLaboratory
 from imr_torch.simulate import PolytropicSimulator
 
-FAST = ["--physics", "polytropic", "--effects", "sound_speed,rinf_bias,refraction", "--quiet"]
+FAST = [
+    "--physics",
+    "polytropic",
+    "--effects",
+    "sound_speed,rinf_bias,refraction",
+    "--quiet",
+]
 
 
 @pytest.fixture(scope="module")
@@ -61,10 +67,17 @@ def single(matched, tmp_path_factory):
     return path
 
 
-def test_that_single_curves_are_judged_by_the_noise_of_their_frames(single, tmp_path, said_by):
+def test_that_single_curves_are_judged_by_the_noise_of_their_frames(
+    single, tmp_path, said_by
+):
     target = tmp_path / "result.json"
     said = said_by(
-        ["diagnose", str(single), *FAST, *f"--rest-radius 0.185:0.02 --json {target}".split()]
+        [
+            "diagnose",
+            str(single),
+            *FAST,
+            *f"--rest-radius 0.185:0.02 --json {target}".split(),
+        ]
     )
     result = json.loads(target.read_text())
     assert "negative or smaller than a camera sees" in said
@@ -79,7 +92,9 @@ def test_that_single_curves_are_judged_by_the_noise_of_their_frames(single, tmp_
     assert "What the records show without a model" in said
 
 
-def test_that_missing_frames_and_missing_repeats_are_left_out_and_no_others(matched, tmp_path):
+def test_that_missing_frames_and_missing_repeats_are_left_out_and_no_others(
+    matched, tmp_path
+):
     with np.load(matched) as document:
         arrays = dict(document)
     arrays["radius_m"][0, 1] = np.nan  # a repeat that was not shot
@@ -112,7 +127,10 @@ def test_that_matched_data_give_silence_in_words_json_and_html(matched, tmp_path
     assert document["converged"] is True
     assert document["seconds"] > 0.0
     assert (
-        main(["plot", str(paths["json"]), *f"--out {tmp_path}/figures --format png".split()]) == 0
+        main(
+            ["plot", str(paths["json"]), *f"--out {tmp_path}/figures --format png".split()]
+        )
+        == 0
     )
     names = {path.stem for path in (tmp_path / "figures").iterdir()}
     assert {"tests", "parameters"} < names
@@ -120,10 +138,14 @@ def test_that_matched_data_give_silence_in_words_json_and_html(matched, tmp_path
     page = paths["html"].read_text()
     assert "No gap was found" in page
     assert "radius over time of design 1" in page
-    assert "radius over time of design 2" not in page  # the one that is held out is not looked at
+    assert (
+        "radius over time of design 2" not in page
+    )  # the one that is held out is not looked at
 
 
-@pytest.mark.parametrize(("options", "words"), [((), False), (("--noise", "estimated"), True)])
+@pytest.mark.parametrize(
+    ("options", "words"), [((), False), (("--noise", "estimated"), True)]
+)
 def test_that_a_set_has_the_published_noise_however_few_its_repeats(
     options, words, matched, tmp_path, said_by
 ):
@@ -131,7 +153,8 @@ def test_that_a_set_has_the_published_noise_however_few_its_repeats(
         arrays = dict(document)
     np.savez(tmp_path / "one.npz", **arrays | {"radius_m": arrays["radius_m"][:, :1]})
     assert (
-        "x the published law" in said_by(["diagnose", str(tmp_path / "one.npz"), *FAST, *options])
+        "x the published law"
+        in said_by(["diagnose", str(tmp_path / "one.npz"), *FAST, *options])
     ) is words
 
 

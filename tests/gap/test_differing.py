@@ -92,7 +92,9 @@ def gaussian_shots(fits, evidence: list[float]) -> GaussianShots:
     return GaussianShots(*(torch.stack(x) for x in zip(*parts, strict=True)))
 
 
-def test_that_the_evidence_of_gels_that_differ_is_that_of_the_closed_form(gels, null, alone, apart):
+def test_that_the_evidence_of_gels_that_differ_is_that_of_the_closed_form(
+    gels, null, alone, apart
+):
     """The closed form has the Gaussian of each curve by itself, integrated over gel and population;
     both are of first order.
     """
@@ -100,7 +102,9 @@ def test_that_the_evidence_of_gels_that_differ_is_that_of_the_closed_form(gels, 
     shots = gaussian_shots(alone, [laplace_evidence(fit) for fit in alone])
     relative = torch.tensor([scatters(BASE)[name] for name in BASE.names])
     scatter = relative / coordinate_units(BASE)
-    exact = float(shots.given(scatter[None], BASE.mean, torch.cholesky_inverse(BASE.chol)).evidence)
+    exact = float(
+        shots.given(scatter[None], BASE.mean, torch.cholesky_inverse(BASE.chol)).evidence
+    )
     assert laplace_evidence(apart) == pytest.approx(exact, abs=0.1)
     assert laplace_evidence(apart) > laplace_evidence(null) + 30.0
 
@@ -126,7 +130,9 @@ def test_that_repeats_of_a_design_cannot_say_whether_gels_differ(gels):
     assert not may_differ(ExperimentBatch(gels.experiments[:1]))
 
 
-def test_that_a_start_from_single_curves_sees_what_they_see_and_keeps_the_effect(gels, null, alone):
+def test_that_a_start_from_single_curves_sees_what_they_see_and_keeps_the_effect(
+    gels, null, alone
+):
     start = start_apart(DIFFER, null, alone)
     posterior = Posterior(BASE, DIFFER.seen(gels), SIMULATOR)
     seen = posterior.predict(Point(start.mean, start.nuisances))
@@ -149,7 +155,9 @@ def test_that_gels_that_differ_are_named_and_nothing_is_left(gels):
 
 def test_that_an_effect_of_one_gel_is_not_taken_for_differences_between_shots():
     shots = [shot(number, {"G": 8e3, "mu": 0.09, "gas_loss": 0.5}) for number in range(3)]
-    report = diagnose(shots, effects=library(["gas_loss", "surface_tension"]), simulator=SIMULATOR)
+    report = diagnose(
+        shots, effects=library(["gas_loss", "surface_tension"]), simulator=SIMULATOR
+    )
     assert (report.verdict, report.cause) == ("effect", ("gas_loss",))
 
 
@@ -159,7 +167,9 @@ def test_that_an_effect_is_named_beside_gels_that_differ():
         shot(number, {"G": stiff, "mu": 0.09, "gas_loss": 0.5})
         for number, stiff in enumerate(stiffness)
     ]
-    report = diagnose(shots, effects=library(["gas_loss", "surface_tension"]), simulator=SIMULATOR)
+    report = diagnose(
+        shots, effects=library(["gas_loss", "surface_tension"]), simulator=SIMULATOR
+    )
     assert report.verdict == "effect"
     assert set(report.cause) == {"gas_loss", "gel_scatter"}
     found = gels_of(report.selected_fit, report.selected)["G"]

@@ -87,7 +87,11 @@ ANSWERS = {
     "gels": ("effect", ["gel_scatter"], {"gel_scatter": 0.99}),
     "gels and effect": ("effect", ["clock", "gel_scatter"], {"clock+gel_scatter": 0.95}),
     "class": ("class", ["wall", "damage"], {"wall": 0.5, "damage": 0.45}),
-    "class or unknown": ("class", ["wall", "clock"], {"wall": 0.4, "clock": 0.4, "other": 0.2}),
+    "class or unknown": (
+        "class",
+        ["wall", "clock"],
+        {"wall": 0.4, "clock": 0.4, "other": 0.2},
+    ),
     "other": ("other", [], {"other": 0.98}),
     "other or blur": ("other", [], {"other": 0.6, "exposure_blur": 0.3}),
     "slow noise": ("other", [], {"slow_noise": 0.6, "other": 0.35}),
@@ -135,7 +139,9 @@ def answered(document: dict, answer: str, shared: str, *, helps: bool | None) ->
             "p_truth_after": 0.8,
             "p_truth_after_sd": 0.01,
             "helps": helps,
-            "plan": dict.fromkeys(("end_t", "max_radius_sd", "time_zero_sd", "rest_radius_sd"), 1.0)
+            "plan": dict.fromkeys(
+                ("end_t", "max_radius_sd", "time_zero_sd", "rest_radius_sd"), 1.0
+            )
             | {"repeats": 1, "frames": 80},
         }
     made = document | {
@@ -150,7 +156,9 @@ def answered(document: dict, answer: str, shared: str, *, helps: bool | None) ->
         "shrinkage": None if parts == ["gel_scatter"] else shrinkage,
         "next_design": ahead,
         "parameter_shift": document["parameter_shift"] if named else None,
-        "cause_values": document["cause_values"] if cause == ["sound_speed"] and named else None,
+        "cause_values": document["cause_values"]
+        if cause == ["sound_speed"] and named
+        else None,
         "gels": {"G": [6e3, 8e3, 11e3]} if "gel_scatter" in parts else None,
         "missing": None if named else document["missing"],
     }
@@ -174,7 +182,8 @@ def contradictions(document: dict) -> list[str]:
     found = {
         "a number that is none": re.search(r"\b(nan|inf)\b", text) is not None
         or not _all_finite(document),
-        "a gap and none": ("There is a gap" in head) != (verdict in ("effect", "class", "other"))
+        "a gap and none": ("There is a gap" in head)
+        != (verdict in ("effect", "class", "other"))
         or ("No gap was found" in text) != (verdict == "none")
         or (verdict == "none" and (document["gap"] or bool(cause) or shrunk is not None)),
         "what is nearest is not said, or is beside a cause": (
@@ -184,13 +193,15 @@ def contradictions(document: dict) -> list[str]:
         "the headline names another cause": bool(in_head - likely - set(cause)),
         "the headline lacks a cause": verdict != "other" and not set(cause) <= in_head,
         "other has a cause": verdict == "other" and bool(cause),
-        "a named cause and no effect that explains": named and "no effect of the library" in text,
+        "a named cause and no effect that explains": named
+        and "no effect of the library" in text,
         "a named cause changes no parameter": named
         and "so the parameters do not change" in text.lower(),
         "an unknown effect is not said": named
         and ("other" in members)
         != (
-            f"unknown effect that looks like it (probability {members.get('other', 0):.2f})" in head
+            f"unknown effect that looks like it (probability {members.get('other', 0):.2f})"
+            in head
         ),
         "a probability behind the headline is not printed": verdict == "other"
         and any(f"{name} {p:.3f}" not in text for name, p in members.items())
@@ -198,7 +209,8 @@ def contradictions(document: dict) -> list[str]:
         "a likely effect beside other is not said": verdict == "other"
         and "slow_noise" not in members
         and in_head != likely,
-        "something is missing beside a named cause": named and document["missing"] is not None,
+        "something is missing beside a named cause": named
+        and document["missing"] is not None,
         "what is missing is not said": verdict == "other"
         and document["missing"] is not None
         and "better than the base model" not in text
@@ -207,7 +219,11 @@ def contradictions(document: dict) -> list[str]:
         "a shot that is not designed": ("Shoot We" in document["next_step"])
         != bool(document["next_design"] and document["next_design"]["helps"]),
         "what was selected is given up": bool(
-            set(re.findall(r"[\w+]+", "".join(re.findall(r"were given up.* of [^:]*:(.*)", text))))
+            set(
+                re.findall(
+                    r"[\w+]+", "".join(re.findall(r"were given up.* of [^:]*:(.*)", text))
+                )
+            )
             & set(document["selected"])
         ),
         "nothing is said of what to quote": not quote.startswith("Quote ")
@@ -215,7 +231,9 @@ def contradictions(document: dict) -> list[str]:
         "a gap without a cause is said too surely": verdict == "other"
         and re.search(r" becomes | is \S+ (kPa|Pa s) \(", text) is not None,
         "a cause is certain": named and "most probable cause" not in head,
-        "an interval outside the other is not explained": ("need not contain the first" in text)
+        "an interval outside the other is not explained": (
+            "need not contain the first" in text
+        )
         != any(
             low < document["parameters_with_model_error"][name][0]
             or high > document["parameters_with_model_error"][name][2]
@@ -223,7 +241,8 @@ def contradictions(document: dict) -> list[str]:
         ),
         "a wrong model is quoted": quote.startswith("Quote for")
         and (
-            verdict in ("other", "class") or (verdict == "undecided" and document["test_rejects"])
+            verdict in ("other", "class")
+            or (verdict == "undecided" and document["test_rejects"])
         ),
         "a right model is not quoted": not quote.startswith("Quote for")
         and (verdict == "none" or (verdict == "effect" and "gel_scatter" not in cause)),
@@ -237,13 +256,19 @@ def contradictions(document: dict) -> list[str]:
             "which may as well be no change" in text
         )
         closes = [
-            line for line in text.splitlines() if "what was selected from the other curves" in line
+            line
+            for line in text.splitlines()
+            if "what was selected from the other curves" in line
         ]
-        found["no gap is left, and some is closed"] = (shrunk["share"] is None) == bool(closes)
+        found["no gap is left, and some is closed"] = (shrunk["share"] is None) == bool(
+            closes
+        )
         found["shrinkage is another in words"] = any(
             f"the gap is {shrunk['word']}: what" not in line
             or f"removes {shrunk['share'][1]:.2f} (" not in line
-            or not all(titles[part] in line for parts in shrunk["selected"] for part in parts)
+            or not all(
+                titles[part] in line for parts in shrunk["selected"] for part in parts
+            )
             for line in closes
         )
     for name, values in document["parameters"].items():
@@ -258,8 +283,12 @@ def contradictions(document: dict) -> list[str]:
         entry = PARAMETERS[LIBRARY[effect].names[0]]
         lines = re.findall(rf"\({effect}\): (.*) would be found", text)
         size = rf"none of a usual size|[\d.e-]+ ?{re.escape(entry.shown_unit)}( .*)? \(.+\)"
-        found[f"{effect} hides without its unit"] = any(not re.fullmatch(size, x) for x in lines)
-        found[f"{effect} hides beside a gap without a cause"] = bool(lines) and verdict == "other"
+        found[f"{effect} hides without its unit"] = any(
+            not re.fullmatch(size, x) for x in lines
+        )
+        found[f"{effect} hides beside a gap without a cause"] = (
+            bool(lines) and verdict == "other"
+        )
     return [what for what, holds in found.items() if holds]
 
 
@@ -279,7 +308,9 @@ def test_that_headline_sections_and_values_of_a_diagnosis_agree(documents):
 
 
 # a gap that is closed leaves an adequate fit, and is not called other
-POSSIBLE = [(a, s) for a in ANSWERS for s in SHARED if (ANSWERS[a][0], s) != ("other", "closed")]
+POSSIBLE = [
+    (a, s) for a in ANSWERS for s in SHARED if (ANSWERS[a][0], s) != ("other", "closed")
+]
 
 
 @pytest.mark.parametrize(("answer", "shared"), POSSIBLE)
@@ -289,7 +320,9 @@ def test_that_they_agree_whatever_the_answer(documents, answer, shared, helps):
     assert contradictions(document) == []
 
 
-def test_that_a_named_cause_closes_the_gap_and_one_shot_says_why_nothing_is_judged(documents):
+def test_that_a_named_cause_closes_the_gap_and_one_shot_says_why_nothing_is_judged(
+    documents,
+):
     named = documents["named"]["shrinkage"]
     assert named["word"] == "closed"
     assert named["share"][0] > named["placebo_95"]
@@ -299,7 +332,9 @@ def test_that_a_named_cause_closes_the_gap_and_one_shot_says_why_nothing_is_judg
         in describe(documents["named"])
     )
     assert documents["one shot"]["shrinkage"] is None
-    assert not any("all experiments" in test["name"] for test in documents["one shot"]["tests"])
+    assert not any(
+        "all experiments" in test["name"] for test in documents["one shot"]["tests"]
+    )
     assert "give two curves or more" in describe(documents["one shot"])
     assert "no effect was selected" in describe(documents["differ"])
 
@@ -314,14 +349,18 @@ def test_that_what_these_data_would_not_show_stands_beside_every_verdict(documen
 def test_that_values_are_in_units_of_a_laboratory(documents):
     field = {"sound_frequency": [1.5, 1.57, 1.6], "sound_phase": [0.0, 0.2, 0.4]}
     moved = {"density": {"base": [-0.1, 0.0, 0.1], "with_cause": [-0.1, 0.01, 0.1]}}
-    assert all(1e-5 < curve["time_scale_s"] < 1e-4 for curve in documents["named"]["curves"])
+    assert all(
+        1e-5 < curve["time_scale_s"] < 1e-4 for curve in documents["named"]["curves"]
+    )
     text = describe(
         documents["named"]
         | {"cause_values": {"sound_field": field}, "parameter_shift": moved}
         | {"curves": [{"time_scale_s": 2e-5}]}
         | {"medium": {"density": {"value": 1060.0, "unit": "kg/m^3"}}}
     )
-    assert f"frequency is {math.exp(1.57) / (2 * math.pi * 2e-5) / 1e3:.4g} kHz in the" in text
+    assert (
+        f"frequency is {math.exp(1.57) / (2 * math.pi * 2e-5) / 1e3:.4g} kHz in the" in text
+    )
     assert "its phase is 0.2 rad (90 %: 0 to 0.4)" in text
     assert "density: 1060 kg/m^3 becomes 1071 kg/m^3 (90 %: 959.1 to 1171)" in text
 
@@ -336,7 +375,10 @@ def test_that_gels_that_differ_are_listed_shot_by_shot(documents):
 
 def test_that_text_and_page_begin_and_end_with_what_to_quote(documents):
     moves = (("far_field_pressure", "101 kPa", 2.1), ("sound_speed", "1430 m/s", 0.9))
-    found = [MediumSensitivity(n, x, 1.02, {"G": -0.1}, {"G": -sd}).to_dict() for n, x, sd in moves]
+    found = [
+        MediumSensitivity(n, x, 1.02, {"G": -0.1}, {"G": -sd}).to_dict()
+        for n, x, sd in moves
+    ]
     medium = {"medium_unstated": "Not stated: density.", "medium_sentence": "M."}
     for name, document in documents.items():
         unstated = document | medium | {"medium_sensitivities": found}
@@ -344,7 +386,11 @@ def test_that_text_and_page_begin_and_end_with_what_to_quote(documents):
         page = document_page(unstated).partition("<section>")[0]
         assert last in page
         assert "Not stated: density." in page
-        for said in ("density was not", "for the assumed pressure 101 kPa;", "the model may lack)"):
+        for said in (
+            "density was not",
+            "for the assumed pressure 101 kPa;",
+            "the model may lack)",
+        ):
             assert (said in last) is last.startswith("Quote for")
         assert ("does not explain these curves" in describe(document)) is (
             document["gap"] and document["verdict"] != "effect"
@@ -400,15 +446,23 @@ def page(documents, tmp_path_factory):
     return target
 
 
-def test_that_the_page_is_one_file_with_every_figure_decodable_and_described(documents, page):
-    text = re.sub(r"<((img|meta|link)\b[^>]*)>", r"<\1/>", page.read_text().partition("\n")[2])
+def test_that_the_page_is_one_file_with_every_figure_decodable_and_described(
+    documents, page
+):
+    text = re.sub(
+        r"<((img|meta|link)\b[^>]*)>", r"<\1/>", page.read_text().partition("\n")[2]
+    )
     elements = list(ElementTree.fromstring(text).iter())  # fails unless all are nested
-    assert all(e.get(key, "data:").startswith("data:") for e in elements for key in ("src", "href"))
+    assert all(
+        e.get(key, "data:").startswith("data:") for e in elements for key in ("src", "href")
+    )
     images = [element.attrib for element in elements if element.tag == "img"]
     assert len(images) == len(list(gap_figures(documents["named"])))
     for image in images:
         pixels = imread(
-            io.BytesIO(base64.b64decode(image["src"].removeprefix("data:image/png;base64,")))
+            io.BytesIO(
+                base64.b64decode(image["src"].removeprefix("data:image/png;base64,"))
+            )
         )
         assert min(pixels.shape[:2]) > 100
         assert len(image["alt"]) > 20
@@ -428,11 +482,15 @@ def test_that_the_page_has_the_sections_of_the_words_in_order(documents, page):
     assert "<h1>A &lt; B</h1>" in text
 
 
-def test_that_bubbles_that_cannot_be_simulated_elsewhere_cost_the_next_design_alone(monkeypatch):
+def test_that_bubbles_that_cannot_be_simulated_elsewhere_cost_the_next_design_alone(
+    monkeypatch,
+):
     def failing(*_, **__):
         raise ConvergenceError("too few designs")
 
-    module = sys.modules["imr_torch.gap.examine"]  # its name in the package is the function's
+    module = sys.modules[
+        "imr_torch.gap.examine"
+    ]  # its name in the package is the function's
     monkeypatch.setattr(module, "identity_design", failing)
     monkeypatch.setattr(module, "_SURE", 1.1)
     experiments = shots({"sound_speed": 0.5}, 10, (8e3, 8e3))

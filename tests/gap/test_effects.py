@@ -33,7 +33,9 @@ def seen(batch, values: dict[str, float]):
 
 
 @pytest.mark.parametrize("name", LIBRARY)
-def test_that_at_its_neutral_value_it_is_the_base_exactly_and_at_a_start_it_is_not(batch, name):
+def test_that_at_its_neutral_value_it_is_the_base_exactly_and_at_a_start_it_is_not(
+    batch, name
+):
     effect = LIBRARY[name]
     base = seen(batch, {})
     for start in effect.starts:
@@ -46,7 +48,14 @@ def test_that_at_its_neutral_value_it_is_the_base_exactly_and_at_a_start_it_is_n
 def test_that_it_says_where_it_acts_in_which_units_and_how_large_it_may_be(name):
     effect = LIBRARY[name]
     assert effect.name == name
-    assert effect.place in ("material", "gas", "liquid", "geometry", "driving", "measurement")
+    assert effect.place in (
+        "material",
+        "gas",
+        "liquid",
+        "geometry",
+        "driving",
+        "measurement",
+    )
     assert len(effect.meaning) > 10
     for i, (parameter, prior) in enumerate(effect.priors.items()):
         assert PARAMETERS[parameter].unit
@@ -60,7 +69,9 @@ def test_that_it_says_where_it_acts_in_which_units_and_how_large_it_may_be(name)
 def test_that_effects_are_offered_by_name_and_to_bases_that_they_can_act_on():
     assert [e.name for e in library(["pulse", "wall"])] == ["pulse", "wall"]
     assert len(library(without=["pulse"])) == len(library()) - 1
-    assert "compressibility" not in [effect.name for effect in library()]  # where it is named
+    assert "compressibility" not in [
+        effect.name for effect in library()
+    ]  # where it is named
     assert [effect.name for effect in library(["compressibility"])] == ["compressibility"]
     assert "strain_stiffening" in {e.name for e in library(base="nhkv")}
     assert "strain_stiffening" not in {e.name for e in library(base="gen_qkv")}
@@ -79,7 +90,9 @@ def test_that_effects_are_offered_by_name_and_to_bases_that_they_can_act_on():
         (TruncatedNormal(0.0, 0.1, lower=0.0), (0.03, 0.12)),
     ],
 )
-def test_that_usual_starts_are_on_either_side_or_two_sizes_of_a_one_sided_effect(prior, starts):
+def test_that_usual_starts_are_on_either_side_or_two_sizes_of_a_one_sided_effect(
+    prior, starts
+):
     effect = Effect("x", "an effect of one parameter", "geometry", {"wall": prior})
     assert [start for (start,) in effect.starts] == pytest.approx(starts)
 
@@ -100,13 +113,17 @@ def test_that_an_effect_is_offered_to_models_that_have_what_it_needs():
 def test_that_a_users_effect_is_one_class_and_is_checked(monkeypatch):
     monkeypatch.setattr(registry, "LIBRARY", dict(LIBRARY))
     prior = TruncatedNormal(0.0, 0.1)
-    mine = Effect("slow_wall", "a wall far away", "geometry", {"wall": prior}, ((0.05,), (-0.05,)))
+    mine = Effect(
+        "slow_wall", "a wall far away", "geometry", {"wall": prior}, ((0.05,), (-0.05,))
+    )
     register_effect(mine)
     assert library(["slow_wall"]) == (mine,)
     with refused("'slow_wall' is registered already"):
         register_effect(mine)
     with refused("needs starts of 1 values each"):
-        Effect("x", "no start of that many values", "geometry", {"wall": prior}, ((0.05, 1.0),))
+        Effect(
+            "x", "no start of that many values", "geometry", {"wall": prior}, ((0.05, 1.0),)
+        )
     with refused(r"needs starts of 3 values each, got \(\)"):
         Effect("x", "no start of several parameters", "driving", LIBRARY["pulse"].priors)
     with refused(r"needs starts of 1 values each, got \(\)"):
@@ -121,7 +138,9 @@ def test_that_a_users_effect_is_one_class_and_is_checked(monkeypatch):
                 **{law: lambda a, b, c, d, e: a},
             )
     with refused("stiffness", ImrError):
-        Effect("x", "needs what there is not", "geometry", {"wall": prior}, needs="stiffness")
+        Effect(
+            "x", "needs what there is not", "geometry", {"wall": prior}, needs="stiffness"
+        )
     with refused("wal", ImrError):
         Effect("x", "no such parameter", "geometry", {"wal": prior}, ((0.05,),))
 

@@ -44,7 +44,8 @@ def brute_force(
     source = generator(5)
     film = Film(design[None], PLAN.times[None])
     curves = {
-        n: predict(SIMULATOR, drawn(own, gels, source), film)[:, 0] for n, own in fits.items()
+        n: predict(SIMULATOR, drawn(own, gels, source), film)[:, 0]
+        for n, own in fits.items()
     }
     value = 0.0
     variance = 0.0
@@ -76,7 +77,9 @@ def evidence(y: Tensor, curves: Tensor) -> Tensor:
 def test_that_the_stated_probability_is_that_of_brute_force(fits, causes):
     stated = ahead(fits, causes=causes, draws=150)
     value, error = brute_force(fits, causes, DESIGN)
-    assert stated.after == pytest.approx(value, abs=3.0 * math.hypot(error, stated.after_error))
+    assert stated.after == pytest.approx(
+        value, abs=3.0 * math.hypot(error, stated.after_error)
+    )
     assert stated.now == pytest.approx(sum(p * p for p in causes.values()))
     assert stated.after > stated.now + 3.0 * stated.after_error
 
@@ -95,7 +98,9 @@ def test_that_repeats_raise_the_gain_and_nuisances_lower_it(fits):
     many = ahead(fits, plan=replace(PLAN, repeats=8))
     blurred = ahead(fits, plan=replace(PLAN, nuisance=Nuisance(0.01, 0.01, 0.03)))
     assert many.after - few.after > 3.0 * math.hypot(many.after_error, few.after_error)
-    assert few.after - blurred.after > 3.0 * math.hypot(blurred.after_error, few.after_error)
+    assert few.after - blurred.after > 3.0 * math.hypot(
+        blurred.after_error, few.after_error
+    )
     assert many.gain > few.gain > blurred.gain
 
 
@@ -119,7 +124,9 @@ def test_that_the_plan_is_the_median_of_the_data():
         )
 
     noise = Noise(scale=1.5)
-    plan = plan_of(ExperimentBatch((shot(2, 30, 0.1), shot(5, 40, 0.01), shot(9, 80, 0.02)), noise))
+    plan = plan_of(
+        ExperimentBatch((shot(2, 30, 0.1), shot(5, 40, 0.01), shot(9, 80, 0.02)), noise)
+    )
     assert (plan.repeats, len(plan.times), float(plan.times[-1])) == (5, 40, 2.0)
     assert plan.noise == noise
     assert plan.nuisance == Nuisance(0.02, 0.004, 0.0)

@@ -41,7 +41,9 @@ def typical(effect: Effect) -> dict[str, float]:
     )
 
 
-def evidence_of(effect: Effect, null: ModelFit, batch, **values: float) -> tuple[float, ModelFit]:
+def evidence_of(
+    effect: Effect, null: ModelFit, batch, **values: float
+) -> tuple[float, ModelFit]:
     """Nats by which the base model with the effect is better than alone, and its fit."""
     found = fit(batch, Hypothesis(BASE, (effect,)), **values)
     return laplace_evidence(found) - laplace_evidence(null), found

@@ -16,7 +16,9 @@ from imr_torch.simulate import TransportSimulator
 from tests.gap.synthetic import BASE, DESIGNS, GEL, SIMULATOR, fit, shoot
 
 FULL = TransportSimulator(threads=1)
-EFFECTS = tuple(Hypothesis(BASE, (LIBRARY[name],)) for name in ("gas_loss", "surface_tension"))
+EFFECTS = tuple(
+    Hypothesis(BASE, (LIBRARY[name],)) for name in ("gas_loss", "surface_tension")
+)
 
 
 def _leaking() -> ExperimentBatch:
@@ -55,7 +57,10 @@ def test_that_what_coarse_bubbles_leave_behind_has_the_cost_of_the_simulator_and
         "surface_tension"
     ]
     assert not behind.certificate.converged
-    assert abs(behind.cost + Posterior(behind.prior, batch, FULL).log_joint(behind.point)) < 1e-6
+    assert (
+        abs(behind.cost + Posterior(behind.prior, batch, FULL).log_joint(behind.point))
+        < 1e-6
+    )
 
 
 def test_that_a_collapse_on_the_wrong_side_of_a_frame_ends_no_search():
@@ -64,7 +69,9 @@ def test_that_a_collapse_on_the_wrong_side_of_a_frame_ends_no_search():
     inquiry = Inquiry(BASE, batch, SIMULATOR)
     null = fit_null(inquiry, seed=0)
     options = SearchOptions(starts=2, basin_rounds=0)
-    found = fit_hypotheses(inquiry, [hypothesis], null, seed=0, options=options)["rinf_bias"]
+    found = fit_hypotheses(inquiry, [hypothesis], null, seed=0, options=options)[
+        "rinf_bias"
+    ]
     assert (
         found.cost < fit(batch, hypothesis, rinf_bias=-0.08).cost + 0.1
     )  # 33 nats above with every frame from the start

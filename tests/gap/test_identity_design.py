@@ -37,7 +37,9 @@ def test_that_a_cause_of_the_measurement_is_told_apart_too(fits):
 
 def test_that_causes_of_one_family_and_improbable_ones_are_not_compared(fits):
     one = fits["damage"]
-    every = dict.fromkeys(("none", "residual_velocity", "trigger_offset", "damage", "wall"), one)
+    every = dict.fromkeys(
+        ("none", "residual_velocity", "trigger_offset", "damage", "wall"), one
+    )
     posterior = {
         "none": 0.1,
         "residual_velocity": 0.3,

@@ -27,7 +27,9 @@ def line(size: int = SIZE) -> Linearisation:
     fitted = zeros(size, 1)
     fitted[-1] = 1.0
     blank = ones(1, size - 1)
-    batch = ExperimentBatch((Experiment("blank", (400.0, 0.2), torch.arange(size - 1.0), blank),))
+    batch = ExperimentBatch(
+        (Experiment("blank", (400.0, 0.2), torch.arange(size - 1.0), blank),)
+    )
     return Linearisation(zeros(size), fitted, blank, blank, batch)
 
 
@@ -66,7 +68,8 @@ def test_that_the_chance_is_the_power_of_the_test_of_what_is_left():
     rows = {"gas_loss": direction(0.0), "wall": direction(degrees)}
     known = library(["gas_loss", "wall"])
     chances = [
-        likeness(size, left(rows, {"seen": other}, known), seed=seed).chance for seed in range(40)
+        likeness(size, left(rows, {"seen": other}, known), seed=seed).chance
+        for seed in range(40)
     ]
     # two tests (one of rank 1 and chi-square, which sees little) at .05: about Phi(2.24 - 3), less
     # what chi-square adds
@@ -96,7 +99,9 @@ def gas():
     batch = shoot({"gas_loss": 0.1})
     chosen = [Hypothesis(BASE, (effect,)) for effect in library(["gas_loss", "wall"])]
     return batch, {
-        h.name: fit(batch, h, **{h.effects[0].names[0]: 0.1 if h.name == "gas_loss" else 0.01})
+        h.name: fit(
+            batch, h, **{h.effects[0].names[0]: 0.1 if h.name == "gas_loss" else 0.01}
+        )
         for h in chosen
     }
 
@@ -107,7 +112,9 @@ def test_that_the_evidence_by_sampling_is_on_the_scale_of_the_gaussian_one(gas):
     evidence["wall"] = evidence["gas_loss"] - 1.0  # so that both count as leading
     found = check_evidence(fits, evidence, batch, SIMULATOR, seed=0)
     assert set(found) == {"gas_loss", "wall"}
-    own = found["gas_loss"]  # a well determined effect has a posterior that is all but Gaussian
+    own = found[
+        "gas_loss"
+    ]  # a well determined effect has a posterior that is all but Gaussian
     assert own.reliable
     assert own.sampled == pytest.approx(own.laplace, abs=4.0 * own.error + 0.1)
 

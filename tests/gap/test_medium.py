@@ -38,9 +38,9 @@ def batch(repeats: int) -> ExperimentBatch:
 
 
 def fit_of(data: ExperimentBatch, prior=None) -> ModelFit:
-    return assimilate(prior or wide_prior(["nhkv"]), data, SIMULATOR, seed=0, options=OPTIONS).fits[
-        0
-    ]
+    return assimilate(
+        prior or wide_prior(["nhkv"]), data, SIMULATOR, seed=0, options=OPTIONS
+    ).fits[0]
 
 
 @pytest.fixture(scope="module")
@@ -54,11 +54,15 @@ def test_that_the_shift_is_that_of_a_refit(many, field):
     """The medium is moved a fifth of the deviation, so that the refit stays linear."""
     data, fit = many
     (found,) = [
-        x for x in medium_sensitivities(fit, data, SIMULATOR, GelMedium()) if x.name == field
+        x
+        for x in medium_sensitivities(fit, data, SIMULATOR, GelMedium())
+        if x.name == field
     ]
     entry = PARAMETERS[OF_MEDIUM[field]]
     share = 0.2
-    moved = _held(fit, entry.name, share * float(torch.tensor(DEVIATIONS[field]).log()), data)
+    moved = _held(
+        fit, entry.name, share * float(torch.tensor(DEVIATIONS[field]).log()), data
+    )
     shift = (moved.mean - fit.mean) / torch.linalg.norm(fit.chol, dim=1)
     for name, sigma in found.sigmas.items():
         assert share * sigma == pytest.approx(
@@ -91,12 +95,16 @@ def _held(fit: ModelFit, name: str, value: float, data: ExperimentBatch) -> Mode
     return assimilate(wide_prior(["nhkv"]), data, Moved(), seed=0, options=OPTIONS).fits[0]
 
 
-def test_that_what_is_stated_or_inferred_is_not_listed_and_what_does_not_matter_neither(many):
+def test_that_what_is_stated_or_inferred_is_not_listed_and_what_does_not_matter_neither(
+    many,
+):
     data, fit = many
     listed = [x.name for x in medium_sensitivities(fit, data, SIMULATOR, GelMedium())]
     assert {"density", "far_field_pressure"} <= set(listed)
     stated = gel_medium(Statement.from_text("density=1060,pressure=101325"))
-    assert {x.name for x in medium_sensitivities(fit, data, SIMULATOR, stated)} == set(listed) - {
+    assert {x.name for x in medium_sensitivities(fit, data, SIMULATOR, stated)} == set(
+        listed
+    ) - {
         "density",
         "far_field_pressure",
     }
@@ -110,7 +118,9 @@ def test_that_what_is_stated_or_inferred_is_not_listed_and_what_does_not_matter_
 def test_that_the_sentence_names_value_deviation_and_shift(many):
     data, fit = many
     (found,) = [
-        x for x in medium_sensitivities(fit, data, SIMULATOR, GelMedium()) if x.name == "density"
+        x
+        for x in medium_sensitivities(fit, data, SIMULATOR, GelMedium())
+        if x.name == "density"
     ]
     assert found.sentence().startswith(
         "density was assumed 1060 kg/m^3; 3 % more would change G by "

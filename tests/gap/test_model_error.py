@@ -69,7 +69,9 @@ def test_that_they_hold_truths_whose_effect_is_withheld_more_often_than_those_of
     for seed, (name, size) in enumerate([*usual.items(), *usual.items()]):
         shots = shoot({name: size}, DESIGNS, repeats=3, end=2.4, seed=10 + seed)
         effects = library([other for other in OFFERED if other != name])
-        report = diagnose(shots.experiments, effects=effects, simulator=SIMULATOR, seed=seed)
+        report = diagnose(
+            shots.experiments, effects=effects, simulator=SIMULATOR, seed=seed
+        )
         found = model_error(report)
         low, _, high = report.null.posterior.quantile(levels)
         for i, parameter in enumerate(BASE.names):
@@ -93,11 +95,15 @@ def test_that_half_of_an_unknown_are_the_gels_beside_effects_that_come_near():
     for known, misfit, weight in zip(fits, misfits, weights, strict=True):
         share = weight / sum(weights)
         count = len(drawn.get(id(known), ()))
-        assert count == pytest.approx(20000 * share, abs=4.0 * math.sqrt(20000 * share) + 1.0)
+        assert count == pytest.approx(
+            20000 * share, abs=4.0 * math.sqrt(20000 * share) + 1.0
+        )
         if count > 1000:
             covariance = misfit * known.chol @ known.chol.mT
             assert torch.allclose(drawn[id(known)].mean(0), known.mean, atol=0.2)
-            assert torch.allclose(drawn[id(known)].mT.cov(), covariance, rtol=0.2, atol=0.02)
+            assert torch.allclose(
+                drawn[id(known)].mT.cov(), covariance, rtol=0.2, atol=0.02
+            )
 
 
 def test_that_an_effect_of_the_size_that_is_said_is_found_as_often_as_is_said(matched):
@@ -107,7 +113,9 @@ def test_that_an_effect_of_the_size_that_is_said_is_found_as_often_as_is_said(ma
     for seed in range(12):
         shots = shoot({"gas_loss": row.size}, DESIGNS, repeats=3, end=2.4, seed=50 + seed)
         effects = library(["gas_loss"])
-        report = diagnose(shots.experiments, effects=effects, simulator=SIMULATOR, seed=seed)
+        report = diagnose(
+            shots.experiments, effects=effects, simulator=SIMULATOR, seed=seed
+        )
         found += report.gap.found
     assert found >= 8
     assert FOUND == 0.9

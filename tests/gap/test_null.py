@@ -25,7 +25,9 @@ def _short(times: list[int]):
     def search(*args, options=None, **more) -> Assimilation:
         options = options or SearchOptions()
         return whole(
-            *args, options=replace(options, iterations=times.pop(0)) if times else options, **more
+            *args,
+            options=replace(options, iterations=times.pop(0)) if times else options,
+            **more,
         )
 
     return search

@@ -70,7 +70,9 @@ def test_that_each_experiment_is_held_out_once_and_at_most_a_quarter_of_many_at_
 
 
 def test_that_curves_held_out_before_the_fits_judge_what_was_selected_with_all(right):
-    unseen = shoot({"gas_loss": 0.3}, ((300.0, 0.22), (550.0, 0.18)), repeats=10, seed=7, end=2.4)
+    unseen = shoot(
+        {"gas_loss": 0.3}, ((300.0, 0.22), (550.0, 0.18)), repeats=10, seed=7, end=2.4
+    )
     found = shrinkage(right, SIMULATOR, unseen)
     assert found.share[1] == pytest.approx(1.0, abs=0.1)
     assert len(found.selected) == 2
@@ -83,7 +85,9 @@ def test_that_the_curve_that_judges_has_no_say_in_what_is_selected():
     shots = (*quiet, replace(loud, label="loud"))
     report = diagnose(shots, effects=library(["gas_loss", *RIVALS]), simulator=SIMULATOR)
     judged = judge_designs(report, SIMULATOR, seed=0)
-    held = {pair.base.line.batch.experiments[0].label: pair.effect.hypothesis for pair in judged}
+    held = {
+        pair.base.line.batch.experiments[0].label: pair.effect.hypothesis for pair in judged
+    }
     assert "gas_loss" in report.selected.parts
     assert held["loud"].parts == ()
 
@@ -108,7 +112,11 @@ def pair(bias: float, freedom: int, seed: int) -> Judged:
     line.batch = batch
 
     def held(by_nuisance: torch.Tensor) -> HeldOut:
-        fitted = torch.linalg.lstsq(by_nuisance, residual).solution if by_nuisance.numel() else None
+        fitted = (
+            torch.linalg.lstsq(by_nuisance, residual).solution
+            if by_nuisance.numel()
+            else None
+        )
         left = residual if fitted is None else residual - by_nuisance @ fitted
         values = zeros(0) if fitted is None else fitted
         return HeldOut(Hypothesis(BASE), left, by_nuisance, values, nothing, line, True)
@@ -151,7 +159,9 @@ def test_that_the_interval_covers_the_mean_over_curves(curves, phases):
 
 
 def test_that_words_need_more_than_random_effects_close():
-    found = Shrinkage((0.7, 0.8, 0.9), None, (0.1,) * 19 + (0.2,), 1.0, 0.0, (("wall",),), True)
+    found = Shrinkage(
+        (0.7, 0.8, 0.9), None, (0.1,) * 19 + (0.2,), 1.0, 0.0, (("wall",),), True
+    )
     assert found.word(0.5) == "closed"
     assert found.word(0.01) == "partly closed"
     chance = replace(found, placebo=(0.75,) * 20)

@@ -45,7 +45,9 @@ def attribution(
     held: Hypothesis = NOTHING,
     nats: float = 0.0,
 ) -> Attribution:
-    certificate = SimpleNamespace(converged=converged, nearly_converged=converged, usable=converged)
+    certificate = SimpleNamespace(
+        converged=converged, nearly_converged=converged, usable=converged
+    )
     fit = SimpleNamespace(certificate=certificate)
     best = hypothesis(winner)
     names = [n for n in posterior if n not in ("none", "other", "slow_noise")]
@@ -54,7 +56,9 @@ def attribution(
     left = SimpleNamespace(test=test, starts={})
     evidence = {held.name: 0.0, winner: nats}
     likeness = SimpleNamespace(chance=0.1)
-    return Attribution(held, hypotheses, {winner: fit}, evidence, posterior, best, left, likeness)
+    return Attribution(
+        held, hypotheses, {winner: fit}, evidence, posterior, best, left, likeness
+    )
 
 
 def named(posterior: dict[str, float], winner: str, **about: float):
@@ -98,7 +102,9 @@ def test_that_two_known_effects_are_rarer_than_one_and_an_unknown_one_must_have_
     families = {"gas_loss+wall": "wall"}
     posterior = probabilities(evidence, families, "gas_loss", 0.2, beside=True, masked=0.6)
     assert set(posterior) == {"gas_loss+wall", "none", "other"}
-    assert posterior["other"] / posterior["gas_loss+wall"] == pytest.approx(0.2 * 0.6 / PRIOR_TWO)
+    assert posterior["other"] / posterior["gas_loss+wall"] == pytest.approx(
+        0.2 * 0.6 / PRIOR_TWO
+    )
 
 
 @pytest.mark.parametrize(
@@ -108,7 +114,11 @@ def test_that_two_known_effects_are_rarer_than_one_and_an_unknown_one_must_have_
         ({"a": 0.8, "other": 0.15, "b": 0.05}, {"a", "other"}, True),
         ({"a": 0.5, "b": 0.35, "other": 0.15}, {"a", "b", "other"}, True),
         ({"other": 0.97, "a": 0.03}, {"other"}, True),
-        ({f"effect {i}": 0.125 for i in range(8)}, {f"effect {i}" for i in range(8)}, False),
+        (
+            {f"effect {i}": 0.125 for i in range(8)},
+            {f"effect {i}" for i in range(8)},
+            False,
+        ),
         ({"a": 0.55} | {f"effect {i}": 0.09 for i in range(5)}, {"a"}, False),
     ],
 )
@@ -149,21 +159,29 @@ def test_that_nobody_is_named_while_the_base_model_alone_is_probable(none, verdi
 
 
 @pytest.mark.parametrize(("none", "verdict"), [(0.6, "none"), (0.02, "effect")])
-def test_that_the_evidence_takes_a_gap_back_that_no_effect_explains(monkeypatch, none, verdict):
+def test_that_the_evidence_takes_a_gap_back_that_no_effect_explains(
+    monkeypatch, none, verdict
+):
     found = attribution({"gas_loss": 0.96 - none, "none": none, "other": 0.04}, "gas_loss")
     finding = selected(monkeypatch, 0.02, lambda *_, **__: found)
     assert finding.verdict == verdict
     assert ("keeps a probability of 0.60" in finding.reason) == (verdict == "none")
 
 
-@pytest.mark.parametrize(("other", "cause"), [(0.1, ("wall",)), (0.9, ("gas_loss", "wall"))])
-def test_that_a_first_effect_is_dropped_where_the_second_is_enough_alone(monkeypatch, other, cause):
+@pytest.mark.parametrize(
+    ("other", "cause"), [(0.1, ("wall",)), (0.9, ("gas_loss", "wall"))]
+)
+def test_that_a_first_effect_is_dropped_where_the_second_is_enough_alone(
+    monkeypatch, other, cause
+):
     first = attribution(UNKNOWN, "gas_loss", p_adequate=1e-6)
     probable = {"gas_loss+wall": 0.96, "none": 0.0, "other": 0.04}
     both = attribution(probable, "gas_loss+wall", held=hypothesis("gas_loss"), nats=20.0)
     alone = attribution({"wall": 1.0 - other, "none": 0.0, "other": other}, "wall")
     monkeypatch.setattr(selection, "reconsider", lambda *_, **__: alone)
-    finding = selected(monkeypatch, 0.0, lambda _, fit, held, **__: both if held.parts else first)
+    finding = selected(
+        monkeypatch, 0.0, lambda _, fit, held, **__: both if held.parts else first
+    )
     assert (finding.verdict, finding.cause) == ("effect", cause)
     assert finding.steps == (first, both)
 
@@ -180,7 +198,9 @@ def test_that_other_says_what_came_nearest_if_that_explains_something_and_is_cer
     monkeypatch, converged, nats, verdict, said
 ):
     found = attribution(UNKNOWN, "gas_loss", p_adequate=1e-6, converged=converged)
-    monkeypatch.setattr(selection, "laplace_evidence", lambda fit: 0.0 if fit is None else nats)
+    monkeypatch.setattr(
+        selection, "laplace_evidence", lambda fit: 0.0 if fit is None else nats
+    )
     finding = selected(monkeypatch, 0.0, lambda *_, **__: found)
     assert (finding.verdict, finding.cause) == (verdict, ())
     assert said in finding.reason
@@ -213,14 +233,18 @@ def test_that_slow_noise_is_no_effect_and_is_said_with_what_would_decide(monkeyp
     finding = selected(monkeypatch, 0.0, lambda *_, **__: found)
     assert (finding.verdict, finding.cause) == ("other", ())
     assert "slow_noise" in finding.choice.members
-    doubtful = named({"gas_loss": 0.8, "slow_noise": 0.15, "none": 0.0, "other": 0.05}, "gas_loss")
+    doubtful = named(
+        {"gas_loss": 0.8, "slow_noise": 0.15, "none": 0.0, "other": 0.05}, "gas_loss"
+    )
     assert (doubtful.verdict, doubtful.cause) == ("undecided", ("gas_loss",))
 
 
 def test_that_a_cause_is_not_sure_where_a_fit_ahead_of_it_did_not_converge():
     found = attribution({"gas_loss": 0.96, "none": 0.0, "other": 0.04}, "gas_loss")
     found = replace(
-        found, left_out=("wall",), hypotheses=found.hypotheses | {"wall": hypothesis("wall")}
+        found,
+        left_out=("wall",),
+        hypotheses=found.hypotheses | {"wall": hypothesis("wall")},
     )
     finding = selection.name_causes(found, choose(found.posterior))
     assert (finding.verdict, finding.cause) == ("undecided", ("gas_loss",))

@@ -19,7 +19,9 @@ def experiments():
 
 
 def test_that_an_effect_is_named_where_it_is_offered(experiments):
-    report = diagnose(experiments, effects=library([TRUTH, *RIVALS]), simulator=SIMULATOR, seed=1)
+    report = diagnose(
+        experiments, effects=library([TRUTH, *RIVALS]), simulator=SIMULATOR, seed=1
+    )
     assert (report.verdict, report.cause) == ("effect", (TRUTH,))
     assert report.converged
 

@@ -41,13 +41,19 @@ def soften_curve(G: float) -> Tensor:
     return stiff
 
 
-def fit_curve(clean: Tensor, seed: int, last: float = 2.6) -> tuple[ModelFit, ExperimentBatch]:
-    seen = clean + NOISE.sd(clean, TIMES) * torch.randn(80, generator=generator(seed)).double()
+def fit_curve(
+    clean: Tensor, seed: int, last: float = 2.6
+) -> tuple[ModelFit, ExperimentBatch]:
+    seen = (
+        clean + NOISE.sd(clean, TIMES) * torch.randn(80, generator=generator(seed)).double()
+    )
     shot = Experiment("shot 1", DESIGN, TIMES, seen[None]).until(last)
     batch = ExperimentBatch((shot,), NOISE)
     options = SearchOptions(raw_samples=16, starts=2)
     prior = wide_prior(["nhkv"])
-    return assimilate(prior, batch, SIMULATOR, seed=0, options=options, warn=False)["nhkv"], batch
+    return assimilate(prior, batch, SIMULATOR, seed=0, options=options, warn=False)[
+        "nhkv"
+    ], batch
 
 
 @cache
@@ -68,7 +74,9 @@ def test_that_shifts_have_unit_variance_where_the_model_is_right():
             if part.name == name and x in part.shifts
         ]
         assert len(shifts) >= 20
-        low, high = chi2.ppf((1e-4, 1.0 - 1e-4), 25) / 25  # two parameters of one curve depend
+        low, high = (
+            chi2.ppf((1e-4, 1.0 - 1e-4), 25) / 25
+        )  # two parameters of one curve depend
         assert low < np.mean(np.square(shifts)) < high
     assert sum(not found.agree for found in tests) <= 5
 
@@ -77,13 +85,17 @@ def test_that_a_gel_that_softens_after_the_first_collapse_is_seen():
     found = compare_parts(*fit_curve(soften_curve(6e3), 0), SIMULATOR)
     assert not found.agree
     assert found.compared[-1][0] > 10.0
-    assert found.sentences()[0].startswith("Parts of the records disagree: without the first")
+    assert found.sentences()[0].startswith(
+        "Parts of the records disagree: without the first"
+    )
 
 
 def test_that_what_a_refit_gives_is_the_fit_of_the_other_frames():
     clean = simulate_curve(GEL)
     fit, batch = fit_unchanged(3)
-    later = next(p for p in compare_parts(fit, batch, SIMULATOR).parts if p.name == "later cycles")
+    later = next(
+        p for p in compare_parts(fit, batch, SIMULATOR).parts if p.name == "later cycles"
+    )
     alone, _ = fit_curve(clean, 3, last=float(TIMES[len(TIMES) - later.frames - 1]))
     for name, quantiles in zip(
         ("G", "mu"), alone.posterior.quantile((0.05, 0.5, 0.95)).T, strict=True
@@ -98,9 +110,13 @@ def test_that_frames_that_tell_are_counted():
     # of four times the frames about four times as many tell, but for single ones at a collapse
     dense = linspace(0.0, 2.6, 317)
     radius = SIMULATOR(PARAMETERS.pack(GEL), tensor(DESIGN), dense).radius
-    more = ExperimentBatch((Experiment("shot 1", DESIGN, dense, radius.reshape(1, -1)),), NOISE)
+    more = ExperimentBatch(
+        (Experiment("shot 1", DESIGN, dense, radius.reshape(1, -1)),), NOISE
+    )
     options = SearchOptions(raw_samples=16, starts=2)
-    again = assimilate(wide_prior(["nhkv"]), more, SIMULATOR, seed=0, options=options)["nhkv"]
+    again = assimilate(wide_prior(["nhkv"]), more, SIMULATOR, seed=0, options=options)[
+        "nhkv"
+    ]
     many = compare_parts(again, more, SIMULATOR).telling["shot 1"]
     for name in GEL:
         assert 1.5 < many[name][0] / told[name][0] < 8.0
@@ -152,7 +168,9 @@ def test_that_a_gel_that_does_not_change_stays_within_the_intervals_of_its_stret
             for row in stretches
             for name, value in GEL.items()
         ]
-    assert 0.84 < np.mean(held) <= 1.0  # 144 intervals of 90 %, wider by a prior that is right
+    assert (
+        0.84 < np.mean(held) <= 1.0
+    )  # 144 intervals of 90 %, wider by a prior that is right
 
 
 def test_that_a_gel_that_softens_is_seen_over_time():

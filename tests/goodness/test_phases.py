@@ -20,7 +20,9 @@ from imr_torch.random import generator
 
 def test_that_the_phase_clock_reads_one_at_the_first_collapse_and_two_at_the_second():
     times = linspace(0.0, 5.0, 501)[None]
-    curve = (torch.cos(0.5 * math.pi * times)).abs()  # collapses at 1, 3 and 5, tops at 2 and 4
+    curve = (
+        torch.cos(0.5 * math.pi * times)
+    ).abs()  # collapses at 1, 3 and 5, tops at 2 and 4
     clock = phase_clock(times, curve, torch.ones_like(times, dtype=torch.bool))[0]
     expected = torch.where(times[0] <= 1.0, times[0], 0.5 * (times[0] + 1.0))
     assert torch.allclose(clock, expected, atol=1e-9)
@@ -50,7 +52,8 @@ def test_that_the_law_counts_whole_where_it_is_right():
     lost = sum(
         bool(
             (
-                noise_shares([torch.randn(200, generator=source).double().square()], phase) < 1.0
+                noise_shares([torch.randn(200, generator=source).double().square()], phase)
+                < 1.0
             ).any()
         )
         for _ in range(300)
@@ -63,7 +66,9 @@ def test_that_a_phase_quieter_than_the_law_counts_as_it_is():
     scale = ones(200)
     scale[160:] = 0.2
     square = (scale * randn(200, generator=generator(1))).square()
-    shares = noise_shares([square, 2.0 * square], phase)  # the hypothesis that leaves least decides
+    shares = noise_shares(
+        [square, 2.0 * square], phase
+    )  # the hypothesis that leaves least decides
     assert shares[:160].tolist() == [1.0] * 160
     assert shares[160:].tolist() == pytest.approx([0.04] * 40, rel=0.5)
     none = torch.where(phase == 4, -1, phase)

@@ -35,7 +35,9 @@ def matched():
     return line, rows, [*blocks, *generic_blocks(best, batch, SIMULATOR, line)]
 
 
-def drawn(line: Linearisation, seed: int, lean: torch.Tensor | float = 0.0) -> Linearisation:
+def drawn(
+    line: Linearisation, seed: int, lean: torch.Tensor | float = 0.0
+) -> Linearisation:
     """The neighbourhood with another residual, drawn under the fitted model, and a lean beside it."""
     noise = randn(len(line.residual), generator=generator(seed))
     return replace(line, residual=line.project_out(noise + lean))
@@ -59,9 +61,13 @@ def test_that_an_effect_is_found_as_often_as_its_power_says(matched, name):
     first = line.project_out(rows[name][:1])
     lean = 3.5 * first[0] / first.norm()
     alone = [replace(make_block(name, rows[name][:1], line), size=3.5)]
-    results = [gap_test(alone, drawn(line, 2000 + seed, lean), seed=seed) for seed in range(100)]
+    results = [
+        gap_test(alone, drawn(line, 2000 + seed, lean), seed=seed) for seed in range(100)
+    ]
     own = [next(b for b in r.blocks if b.name == name) for r in results]
-    found = sum(b.p_value < LEVEL / 2.0 for b in own)  # of two blocks, its own and the chi-square
+    found = sum(
+        b.p_value < LEVEL / 2.0 for b in own
+    )  # of two blocks, its own and the chi-square
     low, high = binomtest(found, 100).proportion_ci(0.99, method="exact")
     assert low < own[0].power < high
     everywhere = gap_test(blocks, drawn(line, 7, 3.0 * lean), seed=1)

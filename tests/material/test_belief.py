@@ -34,9 +34,15 @@ def positive(mean: float, sd: float) -> TruncatedNormal:
 
 
 LAWS: dict[str, tuple[Marginal, object]] = {
-    "G": (positive(8000.0, 5000.0), stats.truncnorm(-1.6, math.inf, loc=8000.0, scale=5000.0)),
+    "G": (
+        positive(8000.0, 5000.0),
+        stats.truncnorm(-1.6, math.inf, loc=8000.0, scale=5000.0),
+    ),
     "mu": (LogNormal(0.1, 1.5), stats.lognorm(math.log(1.5), scale=0.1)),
-    "alpha": (positive(0.28, 0.48), stats.truncnorm(-0.28 / 0.48, math.inf, loc=0.28, scale=0.48)),
+    "alpha": (
+        positive(0.28, 0.48),
+        stats.truncnorm(-0.28 / 0.48, math.inf, loc=0.28, scale=0.48),
+    ),
 }
 MODELS = ("newtonian", "nhkv", "qkv", "gen_qkv")
 KEYS = pytest.mark.parametrize("key", MODELS)
@@ -66,15 +72,21 @@ def updated() -> Belief:
 @KEYS
 def test_that_prior_moments_are_scipys(key):
     part = prior()[key]
-    assert_close(part.means, tensor(*[LAWS[n][1].mean() for n in part.names]), rtol=1e-6, atol=0.0)
-    assert_close(part.sds, tensor(*[LAWS[n][1].std() for n in part.names]), rtol=1e-5, atol=0.0)
+    assert_close(
+        part.means, tensor(*[LAWS[n][1].mean() for n in part.names]), rtol=1e-6, atol=0.0
+    )
+    assert_close(
+        part.sds, tensor(*[LAWS[n][1].std() for n in part.names]), rtol=1e-5, atol=0.0
+    )
 
 
 @KEYS
 def test_that_prior_quantiles_are_scipys(key):
     part = prior()[key]
     levels = [1e-9, 0.05, 0.5, 0.95, 1.0 - 1e-9]
-    expected = torch.stack([torch.tensor(LAWS[n][1].ppf(levels)) for n in part.names], dim=-1)
+    expected = torch.stack(
+        [torch.tensor(LAWS[n][1].ppf(levels)) for n in part.names], dim=-1
+    )
     assert part.quantile(levels).shape == (5, len(part.names))
     assert_close(part.quantile(levels), expected, rtol=1e-6, atol=0.0)
 
@@ -85,7 +97,9 @@ def test_that_the_density_of_a_correlated_belief_is_the_gaussian_through_its_map
     z = part.controls(40, seed=5)
     law = torch.distributions.MultivariateNormal(part.mean, scale_tril=part.chol)
     slopes = sum(LAWS[n][0].log_slope(z[:, i]) for i, n in enumerate(part.names))
-    assert_close(part.log_prob(part.physical(z)), law.log_prob(z) - slopes, rtol=1e-8, atol=1e-8)
+    assert_close(
+        part.log_prob(part.physical(z)), law.log_prob(z) - slopes, rtol=1e-8, atol=1e-8
+    )
 
 
 @pytest.mark.parametrize("name", ["G", "alpha"])
@@ -137,7 +151,9 @@ def test_that_controls_and_physical_values_are_each_others_inverse(key):
     z = part.controls(30, seed=8).reshape(3, 10, -1)
     assert_close(part.to_controls(part.physical(z)), z, rtol=1e-8, atol=1e-8)
     assert part.parameters(z).shape == (3, 10, len(PARAMETERS))
-    assert torch.equal(part.parameters(z)[..., PARAMETERS.index(part.names)], part.physical(z))
+    assert torch.equal(
+        part.parameters(z)[..., PARAMETERS.index(part.names)], part.physical(z)
+    )
 
 
 @pytest.mark.parametrize(
@@ -158,7 +174,9 @@ def test_that_saving_and_loading_keeps_every_bit(tmp_path, belief):
         )
     back.save(tmp_path / "again.json")
     assert (tmp_path / "again.json").read_bytes() == (tmp_path / "belief.json").read_bytes()
-    assert torch.equal(belief.sample(9, seed=0).parameters, back.sample(9, seed=0).parameters)
+    assert torch.equal(
+        belief.sample(9, seed=0).parameters, back.sample(9, seed=0).parameters
+    )
 
 
 def test_that_a_model_ruled_out_stays_ruled_out_on_disk(tmp_path):
@@ -171,7 +189,9 @@ def test_that_probabilities_are_normalised_and_the_best_model_is_the_most_probab
     belief = Belief(prior().models, tensor(1000.0, 1001.0, 990.0, 1000.5))
     assert sum(belief.probabilities.values()) == pytest.approx(1.0, abs=1e-15)
     assert belief.best.model == "nhkv"
-    assert belief.probabilities["nhkv"] / belief.probabilities["newtonian"] == pytest.approx(math.e)
+    assert belief.probabilities["nhkv"] / belief.probabilities[
+        "newtonian"
+    ] == pytest.approx(math.e)
 
 
 @for_each("case", CASES)
@@ -201,7 +221,9 @@ def test_that_there_is_a_wide_prior_for_every_model_whose_draws_are_possible():
         assert part.marginals == tuple(PARAMETERS[name].prior for name in part.names)
         assert part.known == dict.fromkeys(part.material.known, 5000.0)
         drawn = part.parameters(part.controls(200, seed=1))
-        for name, values in zip(part.names, drawn[:, PARAMETERS.index(part.names)].mT, strict=True):
+        for name, values in zip(
+            part.names, drawn[:, PARAMETERS.index(part.names)].mT, strict=True
+        ):
             PARAMETERS.check(name, values)
             assert values.std() > 0.0
 
@@ -221,7 +243,9 @@ def test_that_a_parameter_of_an_effect_has_the_prior_of_the_effect():
 
 
 def document(**changes) -> dict:
-    return Belief.prior({"nhkv": {"G": LAWS["G"][0], "mu": LAWS["mu"][0]}}).to_dict() | changes
+    return (
+        Belief.prior({"nhkv": {"G": LAWS["G"][0], "mu": LAWS["mu"][0]}}).to_dict() | changes
+    )
 
 
 NHKV = (LAWS["G"][0], LAWS["mu"][0])
@@ -263,7 +287,9 @@ def test_that_a_cloud_is_kept_on_disk_and_goes_with_another_gaussian(tmp_path):
     part = belief.models[1]
     assert "cloud" not in belief.to_dict()["models"][1]
     bent = part.with_cloud(cloud(part.controls(5, seed=1), eye(3).expand(5, -1, -1) / 3.0))
-    Belief((belief.models[0], bent), belief.log_probabilities).save(tmp_path / "belief.json")
+    Belief((belief.models[0], bent), belief.log_probabilities).save(
+        tmp_path / "belief.json"
+    )
     back = Belief.load(tmp_path / "belief.json")
     assert back.models[0].cloud is None
     assert torch.equal(back.models[1].cloud.controls, bent.cloud.controls)

@@ -44,7 +44,9 @@ def test_that_a_graded_gel_is_the_quadrature_of_its_modulus(radius):
 
     expected = quad(integrand, 0.0, 1.0, epsabs=1e-14, epsrel=1e-12)[0]
     stress = stress_of_term(
-        GRADED_MODULUS, *scalars(radius, 0.0, REST), tensors({"G": 0.08, "graded_modulus": 1.5})
+        GRADED_MODULUS,
+        *scalars(radius, 0.0, REST),
+        tensors({"G": 0.08, "graded_modulus": 1.5}),
     )
     assert stress.value == pytest.approx(expected, rel=1e-9, abs=1e-13)
 
@@ -65,7 +67,9 @@ def test_that_a_graded_gel_passes_smoothly_through_its_rest():
     assert (stress.rate[:, 1] - stress.rate[:, 0]).abs().max() < 1e-6
     assert (
         stress_of_term(
-            GRADED_MODULUS, *scalars(1.0, 0.0, 1.0), tensors({"G": 1.0, "graded_modulus": 1.0})
+            GRADED_MODULUS,
+            *scalars(1.0, 0.0, 1.0),
+            tensors({"G": 1.0, "graded_modulus": 1.0}),
         ).value
     ) == 0.0
 
@@ -74,8 +78,12 @@ def test_that_a_graded_gel_passes_smoothly_through_its_rest():
 def test_that_damage_takes_its_share_of_the_elastic_stress(lost):
     whole = elastic(0.6, -1.2)
     held = tensor([lost])
-    part = stress_of_term(DAMAGE, *scalars(0.6, -1.2, REST), tensors(GEL | {"damage": 0.3}), held)
-    assert part.value + whole.value == pytest.approx((1.0 - lost) * float(whole.value), rel=1e-13)
+    part = stress_of_term(
+        DAMAGE, *scalars(0.6, -1.2, REST), tensors(GEL | {"damage": 0.3}), held
+    )
+    assert part.value + whole.value == pytest.approx(
+        (1.0 - lost) * float(whole.value), rel=1e-13
+    )
 
 
 def test_that_damage_grows_with_the_path_in_either_direction_and_ends_at_all():
@@ -102,7 +110,11 @@ def test_that_damage_heals_at_its_rate_where_nothing_moves_and_settles_where_som
     1/t_h)``.
     """
     theta = tensors(GEL | {"damage": 0.3, "healing": 2.0})
-    for velocity, held, expected in ((0.0, 0.5, -1.0), (50.0, 25.0 / 27.0, 0.0), (50.0, 0.0, 25.0)):
+    for velocity, held, expected in (
+        (0.0, 0.5, -1.0),
+        (50.0, 25.0 / 27.0, 0.0),
+        (50.0, 0.0, 25.0),
+    ):
         rate = memory_rate(
             [DAMAGE],
             *scalars(0.6, velocity, REST),
@@ -114,7 +126,9 @@ def test_that_damage_heals_at_its_rate_where_nothing_moves_and_settles_where_som
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.4, 1.0])
-def test_that_viscous_damage_takes_its_share_of_the_newtonian_stress_and_grows_with_the_path(lost):
+def test_that_viscous_damage_takes_its_share_of_the_newtonian_stress_and_grows_with_the_path(
+    lost,
+):
     point = scalars(0.6, -50.0, REST)
     held = tensor([lost])
     whole = stress_of(material("newtonian"), *point, tensors({"mu": 0.05}))
@@ -145,7 +159,9 @@ def test_that_a_yield_stress_opposes_motion_over_the_sheared_gel(velocity):
     extent = math.log(abs(velocity) / radius / 0.1) / 3.0
     value = float(
         stress_of_term(
-            YIELD_STRESS, *scalars(radius, velocity, REST), tensors({"yield_stress": stress})
+            YIELD_STRESS,
+            *scalars(radius, velocity, REST),
+            tensors({"yield_stress": stress}),
         ).value
     )
     assert value == pytest.approx(-math.copysign(2.0 * stress * extent, velocity), rel=0.02)
@@ -187,4 +203,6 @@ def test_that_all_departures_leave_a_gel_without_modulus_alone():
             != elastic(0.5, -1.0).value
         )
         stress = evaluate(material(f"newtonian+{name}"), 0.5, -1.0, {"mu": 0.05, name: 0.2})
-        assert stress.value == evaluate(material("newtonian"), 0.5, -1.0, {"mu": 0.05}).value
+        assert (
+            stress.value == evaluate(material("newtonian"), 0.5, -1.0, {"mu": 0.05}).value
+        )

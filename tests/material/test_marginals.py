@@ -47,7 +47,9 @@ CASES = {
     "beta": quantile_case("beta", a=2.0, b=5.0),
     "uniform": quantile_case("uniform", loc=500.0, scale=9500.0),
     "student t": quantile_case("t", df=7.0, loc=1.0, scale=0.3),
-    "narrow log-normal": Case(LogNormal(0.1, 1.05), stats.lognorm(math.log(1.05), scale=0.1)),
+    "narrow log-normal": Case(
+        LogNormal(0.1, 1.05), stats.lognorm(math.log(1.05), scale=0.1)
+    ),
 }
 ALL = for_each("case", CASES)
 TAILS = [-8.0, -6.5, -5.0, -3.0, -1.0, -1e-3, 0.0, 1e-3, 1.0, 3.0, 5.0, 6.5, 8.0]
@@ -64,7 +66,9 @@ def quantile(marginal: Marginal, z: float) -> float:
     """
     mpmath.mp.dps = 80
     if isinstance(marginal, LogNormal):
-        return float(mpmath.mpf(marginal.median) * mpmath.exp(mpmath.log(marginal.factor) * z))
+        return float(
+            mpmath.mpf(marginal.median) * mpmath.exp(mpmath.log(marginal.factor) * z)
+        )
     if isinstance(marginal, Quantile):
         law = getattr(stats, marginal.family)(**marginal.arguments)
         return float(law.ppf(stats.norm.cdf(z)) if z < 0.0 else law.isf(stats.norm.sf(z)))
@@ -84,7 +88,11 @@ def scale(case: Case) -> float:
     marginal = case.marginal
     if isinstance(marginal, Quantile):
         return abs(float(case.law.mean())) + float(case.law.std())
-    return max(abs(marginal.mean), marginal.sd) if isinstance(marginal, TruncatedNormal) else 0.0
+    return (
+        max(abs(marginal.mean), marginal.sd)
+        if isinstance(marginal, TruncatedNormal)
+        else 0.0
+    )
 
 
 def test_that_every_kind_of_marginal_is_tested():
@@ -95,7 +103,10 @@ def test_that_every_kind_of_marginal_is_tested():
 def test_that_a_control_is_the_quantile_of_its_probability(case):
     expected = controls([quantile(case.marginal, z) for z in TAILS])
     assert_close(
-        case.marginal.to_physical(controls()), expected, rtol=1e-12, atol=1e-13 * scale(case)
+        case.marginal.to_physical(controls()),
+        expected,
+        rtol=1e-12,
+        atol=1e-13 * scale(case),
     )
 
 
@@ -106,7 +117,9 @@ def test_that_the_map_is_undone_by_its_inverse(case):
     """
     z = linspace(-5.0, 5.0, 201)
     value = case.marginal.to_physical(z)
-    resolution = 1e-15 * (value.abs() + scale(case)) * torch.exp(-case.marginal.log_slope(z))
+    resolution = (
+        1e-15 * (value.abs() + scale(case)) * torch.exp(-case.marginal.log_slope(z))
+    )
     back = case.marginal.to_control(value)
     assert ((back - z).abs() < 1e-10 + 10.0 * resolution).all()
 
@@ -117,7 +130,9 @@ def test_that_the_density_is_scipys(case):
     z = linspace(-6.0, 6.0, 49)
     value = case.marginal.to_physical(z)
     density = -0.5 * z.square() - 0.5 * math.log(2.0 * math.pi) - case.marginal.log_slope(z)
-    assert_close(density, torch.tensor(case.law.logpdf(value.numpy())), rtol=1e-9, atol=1e-9)
+    assert_close(
+        density, torch.tensor(case.law.logpdf(value.numpy())), rtol=1e-9, atol=1e-9
+    )
 
 
 @ALL
@@ -139,7 +154,9 @@ def test_that_an_unbounded_tail_follows_the_exact_law_far_out(sign, z):
     """
     mpmath.mp.dps = 60
     marginal = (
-        TruncatedNormal(0.0, 1.0, lower=-0.5) if sign > 0 else TruncatedNormal(0.0, 1.0, upper=0.5)
+        TruncatedNormal(0.0, 1.0, lower=-0.5)
+        if sign > 0
+        else TruncatedNormal(0.0, 1.0, upper=0.5)
     )
 
     def tail(x: mpmath.mpf) -> mpmath.mpf:
@@ -147,8 +164,12 @@ def test_that_an_unbounded_tail_follows_the_exact_law_far_out(sign, z):
 
     target = mpmath.log(tail(mpmath.mpf(z))) + mpmath.log(1 - tail(mpmath.mpf("0.5")))
     exact = float(mpmath.findroot(lambda x: mpmath.log(tail(x)) - target, z + 0.01))
-    assert marginal.to_physical(controls([sign * z]))[0] == pytest.approx(sign * exact, rel=2e-6)
-    assert marginal.to_control(controls([sign * exact]))[0] == pytest.approx(sign * z, rel=2e-6)
+    assert marginal.to_physical(controls([sign * z]))[0] == pytest.approx(
+        sign * exact, rel=2e-6
+    )
+    assert marginal.to_control(controls([sign * exact]))[0] == pytest.approx(
+        sign * z, rel=2e-6
+    )
 
 
 @pytest.mark.parametrize("distance", [4.0, 6.0, 6.9])
@@ -180,7 +201,10 @@ def test_that_autograd_follows_the_map(case):
 
 
 test_that_bad_input_is_named = refusals(
-    (lambda: TruncatedNormal(0.0, 0.0), r"sd must be positive and finite. .*belongs in `known`"),
+    (
+        lambda: TruncatedNormal(0.0, 0.0),
+        r"sd must be positive and finite. .*belongs in `known`",
+    ),
     (
         lambda: TruncatedNormal(-10.0, 1.0, 0.0),
         r"has no mass between 0.0 and inf; move the mean towards the bounds",
@@ -194,5 +218,8 @@ test_that_bad_input_is_named = refusals(
         lambda: Quantile("poisson", {"mu": 1.0}),
         r"scipy.stats has no continuous distribution named 'poisson'",
     ),
-    (lambda: Quantile("gamma", {"a": -1.0}), r"scipy.stats.gamma has no median with \{'a': -1.0\}"),
+    (
+        lambda: Quantile("gamma", {"a": -1.0}),
+        r"scipy.stats.gamma has no median with \{'a': -1.0\}",
+    ),
 )

@@ -25,13 +25,17 @@ def test_that_water_is_as_in_the_tables(field, temperature, value, error):
 
 
 @pytest.mark.parametrize("name", NAMED)
-def test_that_a_named_medium_is_its_source_at_its_temperature_and_follows_water_elsewhere(name):
+def test_that_a_named_medium_is_its_source_at_its_temperature_and_follows_water_elsewhere(
+    name,
+):
     medium = named_medium(name)
     assert medium.source
     assert medium.at(medium.temperature) == pytest.approx(dict(medium.values))
     warm = medium.at(320.0)
     for field, value in medium.values.items():
-        assert warm[field] / value == pytest.approx(OF_WATER[field](320.0) / OF_WATER[field](ROOM))
+        assert warm[field] / value == pytest.approx(
+            OF_WATER[field](320.0) / OF_WATER[field](ROOM)
+        )
     assert set(medium.sds) <= set(medium.values)
 
 

@@ -34,7 +34,11 @@ WITH_MEMORY = {key: model for key, model in MATERIALS.items() if has_memory(mode
 
 def collapse(t: float) -> tuple[float, float, float]:
     """A radius that falls to .3, grows and falls again: ``R, R', R''``."""
-    return 0.65 + 0.35 * math.cos(3.0 * t), -1.05 * math.sin(3.0 * t), -3.15 * math.cos(3.0 * t)
+    return (
+        0.65 + 0.35 * math.cos(3.0 * t),
+        -1.05 * math.sin(3.0 * t),
+        -3.15 * math.cos(3.0 * t),
+    )
 
 
 def growth(t: float) -> tuple[float, float, float]:
@@ -94,7 +98,9 @@ def test_that_the_maxwell_branch_is_the_linear_maxwell_law_at_every_point_of_the
 
     def rate(t: float, stress: np.ndarray) -> np.ndarray:
         radius, velocity, _ = growth(t)
-        return (-4.0 * mu * (1.0 - retardation) * radius**2 * velocity / places**3 - stress) / tau
+        return (
+            -4.0 * mu * (1.0 - retardation) * radius**2 * velocity / places**3 - stress
+        ) / tau
 
     radial = shells(rate, 1)[0]
     branch = 2.0 * np.sum(W * 1.5 * radial / (3.0 * X))  # dr/r = -dx/(3x)
@@ -125,7 +131,9 @@ def convect(tau: float, mu: float, retardation: float, more) -> float:
         )
 
     radial, hoop = shells(rate, 2)
-    return 2.0 * np.sum(W * (radial - hoop) / (3.0 * X)) - 4.0 * mu * retardation * speed / end
+    return (
+        2.0 * np.sum(W * (radial - hoop) / (3.0 * X)) - 4.0 * mu * retardation * speed / end
+    )
 
 
 @pytest.mark.parametrize("retardation", [0.0, 0.3])
@@ -137,7 +145,8 @@ def test_that_two_states_carry_the_upper_convected_law_of_every_shell(tau, retar
 
 
 NONLINEAR = pytest.mark.parametrize(
-    ("key", "name", "strength"), [("giesekus", "mobility", 0.3), ("ptt", "extensibility", 0.2)]
+    ("key", "name", "strength"),
+    [("giesekus", "mobility", 0.3), ("ptt", "extensibility", 0.2)],
 )
 
 
@@ -148,7 +157,10 @@ def test_that_few_shells_carry_a_nonlinear_fluid(key, name, strength, tau):
     mu, retardation = 0.05, 0.3
     share = strength / ((1.0 - retardation) * mu)
     expected = convect(
-        tau, mu, retardation, lambda s, trace: share * s * (s if key == "giesekus" else trace)
+        tau,
+        mu,
+        retardation,
+        lambda s, trace: share * s * (s if key == "giesekus" else trace),
     )
     values = {"mu": mu, "tau_" + key: tau, "retardation": retardation, name: strength}
     found = toolkit(material(key), values, collapse)
@@ -158,7 +170,9 @@ def test_that_few_shells_carry_a_nonlinear_fluid(key, name, strength, tau):
 
 
 @pytest.mark.parametrize("key", ["giesekus", "ptt"])
-def test_that_shells_without_the_nonlinear_term_converge_to_the_closed_form(key, monkeypatch):
+def test_that_shells_without_the_nonlinear_term_converge_to_the_closed_form(
+    key, monkeypatch
+):
     """Errors fall by more than ten with every four shells more."""
     values = {"mu": 0.05, "retardation": 0.2}
     exact = toolkit(material("ucm"), values | {"tau_ucm": 0.5}, collapse)
@@ -178,7 +192,9 @@ def linear_solid(l: float, v: dict[str, float]) -> tuple[float, float]:  # noqa:
 
 
 def nonlinear_solid(l: float, v: dict[str, float]) -> tuple[float, float]:  # noqa: E741
-    stiffness = 4.0 * v["G"] * (3 / 14 * l**3 + l**2 - 3 / (2 * l) + 2 / (7 * l**4)) / (l**3 - 1.0)
+    stiffness = (
+        4.0 * v["G"] * (3 / 14 * l**3 + l**2 - 3 / (2 * l) + 2 / (7 * l**4)) / (l**3 - 1.0)
+    )
     return -0.5 * v["G"] * (5.0 - 4.0 / l - l**-4), stiffness
 
 
@@ -195,7 +211,9 @@ def test_that_a_standard_solid_obeys_its_published_equation(key, law):
         elastic, stiffness = law(radius / REST, values)
         strain = velocity / radius
         left = relaxation * (float(stress.rate) + stiffness * strain) + float(stress.value)
-        assert left == pytest.approx(elastic - 4.0 * values["mu"] * strain, rel=1e-12, abs=1e-13)
+        assert left == pytest.approx(
+            elastic - 4.0 * values["mu"] * strain, rel=1e-12, abs=1e-13
+        )
         assert abs(stress.acceleration) < 1e-15
 
 

@@ -71,7 +71,9 @@ def test_that_held_memory_neither_changes_nor_forgets_which_way_to_push(model, r
     assert abs(stress.rate) < 1e-15
     elastic = {"G", "G_lin"} & set(model.names)
     assert (
-        float(stress.value) * (radius - REST) < 0.0 if elastic else abs(float(stress.value)) < 1e-15
+        float(stress.value) * (radius - REST) < 0.0
+        if elastic
+        else abs(float(stress.value)) < 1e-15
     )
 
 
@@ -101,7 +103,9 @@ def test_that_neutral_parameters_do_nothing_exactly(model, radius, velocity):
 
 @MODELS
 @pytest.mark.parametrize(("radius", "velocity"), STATES)
-def test_that_a_model_inside_the_full_set_of_terms_is_the_model_alone(model, radius, velocity):
+def test_that_a_model_inside_the_full_set_of_terms_is_the_model_alone(
+    model, radius, velocity
+):
     theta = tensors(values_of(model))
     point = [tensor(x) for x in (radius, velocity, REST)]
     own = set(model.terms)
@@ -152,7 +156,9 @@ def test_that_names_are_those_that_stress_and_memory_depend_on(model):
     values = VALUES | of_others
     before = response(values)
     for name, value in values.items():
-        assert (response(values | {name: 1.3 * value}) != before) == (name in model.names), name
+        assert (response(values | {name: 1.3 * value}) != before) == (
+            name in model.names
+        ), name
     assert model.free == tuple(name for name in model.names if name not in model.known)
     assert set(model.known) <= set(model.names)
     assert has_memory(model) == (len(before) > 3)
@@ -204,7 +210,10 @@ test_that_bad_input_is_named = refusals(
     ),
     (lambda: material("nhkv+wool"), r"Unknown parameter 'wool'"),
     (lambda: material("nhkv+G"), r"names 'G' twice, or 'nhkv' has it already"),
-    (lambda: register(material("nhkv")), r"A material of the key 'nhkv' is registered already"),
+    (
+        lambda: register(material("nhkv")),
+        r"A material of the key 'nhkv' is registered already",
+    ),
     (
         lambda: register_term(StressTerm(reads_unknown, switch="G")),
         r"Unknown parameter 'unheard_of'",

@@ -14,7 +14,9 @@ def test_that_parameters_are_made_dimensionless_by_the_published_numbers():
     s = Surroundings()
     max_radius = tensor([2e-4, 5e-4])
     theta = dimensionless(
-        PARAMETERS.pack({"G": 2770.0, "mu": 0.186, "alpha": 0.48, "tau": 3e-6}), max_radius, s
+        PARAMETERS.pack({"G": 2770.0, "mu": 0.186, "alpha": 0.48, "tau": 3e-6}),
+        max_radius,
+        s,
     )
     speed = (101325.0 / 1060.0) ** 0.5
     assert_close(theta["G"].expand(2), full((2,), 2770.0 / 101325.0))
@@ -33,7 +35,10 @@ def test_that_units_convert_there_and_back():
 @pytest.mark.parametrize("name", list(PARAMETERS.names))
 def test_that_bounds_are_inclusive_and_what_lies_beyond_is_named(name):
     entry = PARAMETERS[name]
-    for bound, beyond in ((entry.lower, entry.lower - 1.0), (entry.upper, entry.upper + 1.0)):
+    for bound, beyond in (
+        (entry.lower, entry.lower - 1.0),
+        (entry.upper, entry.upper + 1.0),
+    ):
         assert PARAMETERS.pack({name: bound})[PARAMETERS.index([name])[0]] == bound
         for bad in (beyond, float("nan")):
             with refused(rf"Parameter '{name}' is .*Parameters are given in SI units\."):
@@ -63,7 +68,9 @@ def test_that_registering_the_same_parameter_twice_changes_nothing():
 test_that_bad_input_is_named = refusals(
     (lambda: PARAMETERS["E"], r"Unknown parameter 'E'; known are G, mu, alpha"),
     (
-        lambda: PARAMETERS.register(Parameter("G", "another", "Pa", "pressure", 0.0, 1.0, 0.0)),
+        lambda: PARAMETERS.register(
+            Parameter("G", "another", "Pa", "pressure", 0.0, 1.0, 0.0)
+        ),
         r"Parameter 'G' is registered already with another definition",
     ),
     (

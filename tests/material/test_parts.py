@@ -12,7 +12,14 @@ from scipy.integrate import quad, solve_ivp
 
 from imr_torch.errors import InputDataError
 from imr_torch.float64 import arange, linspace, zeros
-from imr_torch.material import MATERIALS, PARAMETERS, PARTS, gel_response, material, wide_prior
+from imr_torch.material import (
+    MATERIALS,
+    PARAMETERS,
+    PARTS,
+    gel_response,
+    material,
+    wide_prior,
+)
 from imr_torch.simulate import (
     Accuracy,
     PolytropicSimulator,
@@ -73,7 +80,11 @@ def excess(b: float) -> float:
 
 ENERGIES = {
     "mooney_rivlin": lambda b: (
-        0.5 * ((1.0 - VALUES["mooney"]) * excess(b) + VALUES["mooney"] * (2.0 * b**-2 + b**4 - 3.0))
+        0.5
+        * (
+            (1.0 - VALUES["mooney"]) * excess(b)
+            + VALUES["mooney"] * (2.0 * b**-2 + b**4 - 3.0)
+        )
     ),
     "yeoh": lambda b: (
         0.5 * excess(b)
@@ -95,9 +106,9 @@ def test_that_the_elastic_stress_is_the_integral_of_the_strain_energy(key, stret
 
     def slope(b: float) -> float:
         h = 1e-4 * b
-        return (8.0 * (energy(b + h) - energy(b - h)) - energy(b + 2 * h) + energy(b - 2 * h)) / (
-            12.0 * h
-        )
+        return (
+            8.0 * (energy(b + h) - energy(b - h)) - energy(b + 2 * h) + energy(b - 2 * h)
+        ) / (12.0 * h)
 
     expected = -quad(lambda b: slope(b) / (b**3 - 1.0), 1.0, stretch, epsrel=1e-9)[0]
     found = float(evaluate(material(key), stretch * REST, 0.0, VALUES | {"G": 1.0}).value)
@@ -199,7 +210,9 @@ def test_that_the_springpot_has_the_complex_modulus_of_a_power(order):
         return torch.stack(term.evaluate_law(radius, velocity, one, theta, memory))
 
     none = zeros(term.states)
-    by_radius, by_velocity = torch.autograd.functional.jacobian(linear, (one, zero, none))[:2]
+    by_radius, by_velocity = torch.autograd.functional.jacobian(linear, (one, zero, none))[
+        :2
+    ]
     by_memory = torch.autograd.functional.jacobian(linear, (one, zero, none))[2].numpy()
     for frequency in np.geomspace(0.1, 300.0, 15):
         s = 1j * frequency
@@ -372,7 +385,9 @@ GELS = {
 def of_all_gels(kind) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Radii of both engines, and without what the parts add: all gels in one batch, since the tensor engine takes little longer for many."""
     gels = torch.stack([PARAMETERS.pack(values) for values in GELS.values()])
-    plain = torch.stack([PARAMETERS.pack({"G": x["G"], "mu": x["mu"]}) for x in GELS.values()])
+    plain = torch.stack(
+        [PARAMETERS.pack({"G": x["G"], "mu": x["mu"]}) for x in GELS.values()]
+    )
     design = tensor([400.0, 0.25])
     times = linspace(0.0, 1.2, 25)
     coarse = (
@@ -381,7 +396,8 @@ def of_all_gels(kind) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         else {"accuracy": Accuracy(1e-3, Resolution(9, 12))}
     )
     ours, reference = (
-        kind(engine=engine, **coarse)(gels, design, times) for engine in ("compiled", "torchdiffeq")
+        kind(engine=engine, **coarse)(gels, design, times)
+        for engine in ("compiled", "torchdiffeq")
     )
     assert ours.ok.all()
     return ours.radius, reference.radius, kind(**coarse)(plain, design, times).radius

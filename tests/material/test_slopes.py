@@ -15,8 +15,13 @@ from imr_torch.material import (
 from tests.material.gels import REST, STATES, memory_of, tensors, values_for
 
 THETA = {name: tensor([0.3, 0.7]) for name in PARAMETERS.names}
-THETA |= {name: 0.01 * THETA[name] for name in ("gent", "chain")}  # whose gel would be locked
-POWERS = ("carreau_yasuda", "cross")  # whose quadrature is good to 1e-6 where the power is 0.3
+THETA |= {
+    name: 0.01 * THETA[name] for name in ("gent", "chain")
+}  # whose gel would be locked
+POWERS = (
+    "carreau_yasuda",
+    "cross",
+)  # whose quadrature is good to 1e-6 where the power is 0.3
 POINT = (
     tensor([0.11, 0.9]),
     tensor([-7.0, 0.4]),
@@ -56,7 +61,8 @@ def point_of(term: StressTerm):
 def test_slopes_of_every_term_match_automatic_differentiation(term):
     assert term.compilable
     ours, automatic = (
-        derivatives(rows_of(term), point_of(term), analytic=analytic) for analytic in (True, False)
+        derivatives(rows_of(term), point_of(term), analytic=analytic)
+        for analytic in (True, False)
     )
     assert ours.shape == (2 + term.states, 3 + term.states, 2)
     assert_close(ours, automatic, rtol=1e-12, atol=1e-13)
@@ -84,9 +90,9 @@ def test_so_they_do_at_rest_and_where_other_members_have_the_term(term):
 @EVERY
 def test_the_rate_of_every_term_is_the_chain_rule_of_its_value_through_its_memory(term):
     value, rate, acceleration, *changes = rows_of(term)(*point_of(term))
-    by_radius, by_velocity, *by_memory = derivatives(rows_of(term), point_of(term), analytic=True)[
-        :, 0
-    ]
+    by_radius, by_velocity, *by_memory = derivatives(
+        rows_of(term), point_of(term), analytic=True
+    )[:, 0]
     through = by_radius * POINT[1]
     for slope, change in zip(by_memory, changes, strict=True):
         through = through + slope * change

@@ -56,7 +56,9 @@ def quadrature(
             -2.0 * values.get("G_lin", 0.0) * s**3 * (1.0 - (REST / radius) ** 3)
         )  # 2 G (e_rr - e_tt)
         return (
-            2.0 * (elastic + small - 6.0 * viscosity(shear, values) * velocity * s**3 / radius) / s
+            2.0
+            * (elastic + small - 6.0 * viscosity(shear, values) * velocity * s**3 / radius)
+            / s
         )
 
     return quad(integrand, 0.0, 1.0, epsabs=1e-13, epsrel=1e-12, limit=400)[0]
@@ -87,20 +89,28 @@ def test_that_qkv_is_half_the_square_of_the_first_invariant(half):
     assert agrees == (half == 0.5)
 
 
-@pytest.mark.parametrize(("stretch", "alpha", "tolerance"), [(0.15, 0.01, 1e-10), (8.0, 0.3, 1e-8)])
-def test_that_exponential_stiffening_is_integrated_where_it_is_extreme(stretch, alpha, tolerance):
+@pytest.mark.parametrize(
+    ("stretch", "alpha", "tolerance"), [(0.15, 0.01, 1e-10), (8.0, 0.3, 1e-8)]
+)
+def test_that_exponential_stiffening_is_integrated_where_it_is_extreme(
+    stretch, alpha, tolerance
+):
     """Exponents up to 20 and 40: what lies near the wall decides."""
     values = {"G": 1.0, "alpha_fung": alpha}
     expected = quadrature(stretch * REST, 0.0, values)
-    assert evaluate(material("fungexp"), stretch * REST, 0.0, values).value == pytest.approx(
-        expected, rel=tolerance
-    )
+    assert evaluate(
+        material("fungexp"), stretch * REST, 0.0, values
+    ).value == pytest.approx(expected, rel=tolerance)
 
 
 @pytest.mark.parametrize("thinning", [0.05, 0.5, 1.0])
 @pytest.mark.parametrize("reduced", [1e-3, 1.0, 30.0, 1e4])
 def test_that_thinning_is_integrated_over_five_decades_of_shear_rate(thinning, reduced):
-    values = {"mu": 1.0, "thinning": thinning, "shear_time": reduced / (2.0 * math.sqrt(3.0))}
+    values = {
+        "mu": 1.0,
+        "thinning": thinning,
+        "shear_time": reduced / (2.0 * math.sqrt(3.0)),
+    }
     expected = quadrature(1.0, 1.0, values)
     assert evaluate(material("carreau"), 1.0, 1.0, values).value == pytest.approx(
         expected, abs=1e-11

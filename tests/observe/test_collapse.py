@@ -47,11 +47,17 @@ def gels_of(**values: list[float]) -> torch.Tensor:
     return PARAMETERS.pack(GEL | changed)
 
 
-def predict_each(gels: torch.Tensor, where: torch.Tensor, measured: torch.Tensor, shifts=None):
+def predict_each(
+    gels: torch.Tensor, where: torch.Tensor, measured: torch.Tensor, shifts=None
+):
     """The times of shots, each predicted without the others."""
     alone = [
         predict_collapse(
-            SIMULATOR, gels, where[[i]], measured[[i]], None if shifts is None else shifts[:, [i]]
+            SIMULATOR,
+            gels,
+            where[[i]],
+            measured[[i]],
+            None if shifts is None else shifts[:, [i]],
         )
         for i in range(len(measured))
     ]
@@ -119,7 +125,9 @@ def test_that_an_almost_empty_cavity_collapses_in_rayleighs_time():
     rayleigh = math.sqrt(math.pi / 6.0) * math.gamma(5.0 / 6.0) / math.gamma(4.0 / 3.0)
     assert rayleigh == pytest.approx(0.914681, abs=1e-6)
     medium = Surroundings(surface_tension=1e-5, sound_speed=1e6)
-    bubbles = PolytropicSimulator(Conditions(surroundings=medium, gas=PolytropicGas(vapour=False)))
+    bubbles = PolytropicSimulator(
+        Conditions(surroundings=medium, gas=PolytropicGas(vapour=False))
+    )
     errors = []
     for rest in (0.2, 0.1):
         where = designs((medium.weber(300e-6), rest))
@@ -154,7 +162,9 @@ def made(monkeypatch) -> list[int]:
     return counts
 
 
-def test_that_a_gel_which_collapses_in_some_shots_alone_is_simulated_and_no_other(thirty, made):
+def test_that_a_gel_which_collapses_in_some_shots_alone_is_simulated_and_no_other(
+    thirty, made
+):
     gels = gels_of(mu=[0.1, 0.7])
     found = predict_collapse(SIMULATOR, gels, *thirty)
     assert made == [24, 12, 24, 30, 30, 30]  # 12 nodes
@@ -163,7 +173,9 @@ def test_that_a_gel_which_collapses_in_some_shots_alone_is_simulated_and_no_othe
     assert 0 < int(found[1].isnan().sum()) < 30
 
 
-def test_that_gels_of_the_last_call_are_not_simulated_again_and_no_second_time(thirty, made):
+def test_that_gels_of_the_last_call_are_not_simulated_again_and_no_second_time(
+    thirty, made
+):
     gels = gels_of(mu=[0.1, 0.2])
     shifts = zeros(2, 30, 3)
     shifts[1, :, 2] = 0.01
@@ -217,21 +229,29 @@ def test_that_nuisances_move_the_time_as_another_design_does():
         1.02 * float(predict_collapse(SIMULATOR, parameters, true, measured)), rel=1e-7
     )
     impossible = tensor([[-2.0, 0.0, 0.0]])
-    assert math.isnan(float(predict_collapse(SIMULATOR, parameters, where, measured, impossible)))
+    assert math.isnan(
+        float(predict_collapse(SIMULATOR, parameters, where, measured, impossible))
+    )
 
 
 def test_that_a_batch_predicts_curves_and_times_each_as_alone():
     times = linspace(0.0, 2.0, 21)
     curve = Experiment("c", (400.0, 0.22), times, ones(1, 21), exposure=0.02)
-    timed = CollapseTime("t", (240.0, 0.13), 0.91, 0.002, Nuisance(max_radius=0.003), scatter=0.003)
+    timed = CollapseTime(
+        "t", (240.0, 0.13), 0.91, 0.002, Nuisance(max_radius=0.003), scatter=0.003
+    )
     mixed = ExperimentBatch((timed, curve))
     seen = predict(SIMULATOR, PARAMETERS.pack(GEL), mixed)
     alone = predict(SIMULATOR, PARAMETERS.pack(GEL), ExperimentBatch((curve,)))
     assert torch.equal(seen[1], alone[0])
-    own = predict_collapse(SIMULATOR, PARAMETERS.pack(GEL), mixed.designs[:1], mixed.mean[:1, 0])
+    own = predict_collapse(
+        SIMULATOR, PARAMETERS.pack(GEL), mixed.designs[:1], mixed.mean[:1, 0]
+    )
     assert seen[0, 0] == own
     z = (0.91 - float(own)) / math.hypot(0.002, 0.003)
-    expected = -0.5 * z * z - math.log(math.hypot(0.002, 0.003)) - 0.5 * math.log(2.0 * math.pi)
+    expected = (
+        -0.5 * z * z - math.log(math.hypot(0.002, 0.003)) - 0.5 * math.log(2.0 * math.pi)
+    )
     assert mixed.log_likelihood(seen)[0] == pytest.approx(expected, rel=1e-9)
     assert [e.label for e in mixed.curves] == ["c"]
 
@@ -269,7 +289,11 @@ def test_that_the_posterior_is_that_of_quadrature_and_the_scatter_is_found():
     times = torch.stack(
         [
             predict_collapse(
-                SIMULATOR, fit.prior.to_si(gels), batch.designs, near, s.expand(1089, -1, -1)
+                SIMULATOR,
+                fit.prior.to_si(gels),
+                batch.designs,
+                near,
+                s.expand(1089, -1, -1),
             )
             for s in shifts
         ]
@@ -283,13 +307,17 @@ def test_that_the_posterior_is_that_of_quadrature_and_the_scatter_is_found():
     weights = (log - log.max()).exp() / (log - log.max()).exp().sum()
     mean = weights @ gels
     sd = (weights @ (gels - mean).square()).sqrt()
-    assert ((fit.posterior.mean - mean) / sd).tolist() == pytest.approx([0.0, 0.0], abs=0.15)
+    assert ((fit.posterior.mean - mean) / sd).tolist() == pytest.approx(
+        [0.0, 0.0], abs=0.15
+    )
     assert (width / sd).tolist() == pytest.approx([1.0, 1.0], rel=0.1)
 
 
 def test_that_curves_and_times_of_one_gel_tell_more_than_either():
     times = linspace(0.0, 2.5, 60)
-    curve = TraceSet((film(GEL, 300e-6, 0.15, times, generator(5), noise=0.01, name="curve"),))
+    curve = TraceSet(
+        (film(GEL, 300e-6, 0.15, times, generator(5), noise=0.01, name="curve"),)
+    )
     data = shots(8, seed=4)
     both = fitted(data, curve, rest_radius=(0.15, 0.0015))
     either = [fitted(data), fitted((), curve, rest_radius=(0.15, 0.0015))]
@@ -314,7 +342,9 @@ def test_that_a_population_is_refused_beside_times():
 
 def test_that_stated_errors_are_read_and_wrong_units_noticed(tmp_path):
     path = tmp_path / "shots.csv"
-    path.write_text(f"{HEADER},collapse_time_sd_s,rmax_sd_m,stretch_sd\n{ROW},1e-7,3.4e-6,0.16\n")
+    path.write_text(
+        f"{HEADER},collapse_time_sd_s,rmax_sd_m,stretch_sd\n{ROW},1e-7,3.4e-6,0.16\n"
+    )
     shot = load_collapse_times(path)[0]
     experiment = shot.to_experiment(Surroundings())
     assert experiment.nuisance.max_radius == pytest.approx(0.01)

@@ -53,7 +53,9 @@ def test_that_a_dense_record_ends_in_a_right_answer(noise, few_deviations):
         (9000, 3.0, 1000),
     ],
 )
-def test_that_only_dense_records_are_thinned_and_no_gap_is_wider_than_allowed(frames, last, kept):
+def test_that_only_dense_records_are_thinned_and_no_gap_is_wider_than_allowed(
+    frames, last, kept
+):
     whole = record(frames, last=last)
     prepared = prepare(whole, rest_radius=(0.2, 0.002))
     (trace,) = prepared.traces

@@ -11,7 +11,15 @@ from torch.testing import assert_close
 from imr_torch.errors import InputDataError, ShapeError
 from imr_torch.float64 import eye, full, linspace, ones, rand, randn, zeros
 from imr_torch.material import PARAMETERS
-from imr_torch.observe import Experiment, ExperimentBatch, Film, Noise, Nuisance, displaced, predict
+from imr_torch.observe import (
+    Experiment,
+    ExperimentBatch,
+    Film,
+    Noise,
+    Nuisance,
+    displaced,
+    predict,
+)
 from imr_torch.random import generator
 from imr_torch.simulate import PolytropicSimulator
 from tests.linear import NHKV, LinearSimulator, correlation, tensor
@@ -36,10 +44,16 @@ def shots() -> tuple[Experiment, ...]:
     made = []
     for i, (frames, repeats) in enumerate(SIZES):
         times = torch.cumsum(0.05 + 0.1 * rand(frames, generator=generator(i)), 0)
-        radius = 0.6 + 0.3 * torch.cos(3.0 * times) + 0.03 * random(repeats, frames, seed=10 + i)
+        radius = (
+            0.6 + 0.3 * torch.cos(3.0 * times) + 0.03 * random(repeats, frames, seed=10 + i)
+        )
         made.append(
             Experiment(
-                f"e{i}", (300.0 + 200.0 * i, 0.2), times, radius, Nuisance(0.01 * i, 0.02, 0.0)
+                f"e{i}",
+                (300.0 + 200.0 * i, 0.2),
+                times,
+                radius,
+                Nuisance(0.01 * i, 0.02, 0.0),
             )
         )
     return tuple(made)
@@ -89,12 +103,16 @@ def test_that_with_gaps_the_log_likelihood_is_the_density_of_what_was_seen():
         for e, shot in enumerate(batch.experiments):
             curve = predicted[i, e, : len(shot.times)]
             law = torch.distributions.Normal(curve, batch.noise.sd(curve, shot.times))
-            expected = law.log_prob(shot.radius.nan_to_num())[torch.isfinite(shot.radius)].sum()
+            expected = law.log_prob(shot.radius.nan_to_num())[
+                torch.isfinite(shot.radius)
+            ].sum()
             assert found[i, e] == pytest.approx(float(expected), rel=1e-10)
 
 
 def test_that_correlated_noise_with_gaps_is_refused_with_the_remedy():
-    with refused(r"Experiment 'e0'.*correlation_time is 0.2; leave these frames out.*or take 0"):
+    with refused(
+        r"Experiment 'e0'.*correlation_time is 0.2; leave these frames out.*or take 0"
+    ):
         ExperimentBatch(with_gaps().experiments, Noise(correlation_time=0.2))
 
 

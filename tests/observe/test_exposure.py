@@ -13,7 +13,14 @@ from imr_torch.assimilate import SearchOptions
 from imr_torch.campaign import Journal
 from imr_torch.float64 import arange, linspace, ones, randn, tensor
 from imr_torch.material import PARAMETERS
-from imr_torch.observe import Experiment, ExperimentBatch, RadiusTrace, TraceSet, predict, prepare
+from imr_torch.observe import (
+    Experiment,
+    ExperimentBatch,
+    RadiusTrace,
+    TraceSet,
+    predict,
+    prepare,
+)
 from imr_torch.random import generator
 from imr_torch.reading.traces import Given
 from imr_torch.units import Surroundings
@@ -74,7 +81,9 @@ def test_that_each_experiment_has_its_own_exposure():
 
 
 def traces(exposure_s: float | None, radius: torch.Tensor) -> TraceSet:
-    given = Given(max_radius_m=SIZE, max_radius_sd_m=1e-8, time_of_max_s=0.0, exposure_s=exposure_s)
+    given = Given(
+        max_radius_m=SIZE, max_radius_sd_m=1e-8, time_of_max_s=0.0, exposure_s=exposure_s
+    )
     return TraceSet((RadiusTrace("a", TIMES * SCALE, SIZE * radius, "memory", given),))
 
 
@@ -108,7 +117,9 @@ def test_that_the_json_beside_a_file_states_the_exposure(tmp_path):
         (0.04 * SCALE, None),
         (1.0, "exposure_s is 1e.06 us, and frames are .* us apart"),
     ):
-        (tmp_path / "gel.json").write_text(json.dumps({"exposure_s": exposure, "Rmax_m": SIZE}))
+        (tmp_path / "gel.json").write_text(
+            json.dumps({"exposure_s": exposure, "Rmax_m": SIZE})
+        )
         loaded = load_traces(tmp_path / "gel.csv")
         if message:
             with refused(message):
@@ -124,7 +135,8 @@ def test_that_an_exposure_survives_windows_and_journals(tmp_path):
     assert experiment.until(1.0).exposure == 0.04
     journal = Journal(tmp_path)
     assert (
-        journal.restore_curves(journal.store_curves(experiment, "experiment_001")).exposure == 0.04
+        journal.restore_curves(journal.store_curves(experiment, "experiment_001")).exposure
+        == 0.04
     )
     with refused(r"has an exposure of 0\.7 Rmax/U_c"):
         film(0.7)

@@ -17,7 +17,9 @@ TIMES = linspace(0.0, 6.0, 601)
 
 
 def ringing(damping: float = 0.0) -> Tensor:
-    return 0.5 + 0.4 * torch.exp(-damping * TIMES) * torch.cos(2.0 * math.pi * TIMES / PERIOD)
+    return 0.5 + 0.4 * torch.exp(-damping * TIMES) * torch.cos(
+        2.0 * math.pi * TIMES / PERIOD
+    )
 
 
 @pytest.mark.parametrize("number", [1, 2, 3])
@@ -56,7 +58,11 @@ def test_that_frame_noise_makes_no_collapse(seed):
 def test_that_collapses_of_a_simulated_bubble_are_where_its_wall_turns():
     gel = PARAMETERS.pack({"G": 5e3, "mu": 0.05})
     solution = PolytropicSimulator()(gel, tensor([800.0, 0.2]), TIMES)
-    turns = torch.nonzero((solution.velocity[:-1] < 0.0) & (solution.velocity[1:] >= 0.0))[:, 0]
+    turns = torch.nonzero((solution.velocity[:-1] < 0.0) & (solution.velocity[1:] >= 0.0))[
+        :, 0
+    ]
     for number in (1, 2):
         found = collapse_time(TIMES, solution.radius, number)
-        assert TIMES[turns[number - 1]] - 1e-9 <= found <= TIMES[turns[number - 1] + 1] + 1e-9
+        assert (
+            TIMES[turns[number - 1]] - 1e-9 <= found <= TIMES[turns[number - 1] + 1] + 1e-9
+        )

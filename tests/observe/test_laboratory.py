@@ -55,7 +55,9 @@ def test_that_its_errors_have_the_stated_size():
     for seed in range(400):
         shot = lab.shoot(DESIGN, seed=seed)
         scale = 600.0 / shot.design[0]
-        still = LinearSimulator(rest_slope=0.0)(truth(), DESIGN, TIMES / scale).radius * scale
+        still = (
+            LinearSimulator(rest_slope=0.0)(truth(), DESIGN, TIMES / scale).radius * scale
+        )
         offset = float((shot.radius[0] - still).mean()) / 0.3
         found.append([scale - 1.0, offset, 0.2 * scale / shot.design[1] - 1.0])
     shifts = tensor(*found)
@@ -91,7 +93,8 @@ def test_that_the_seed_decides_and_nothing_else():
 
 def test_that_a_truth_that_cannot_be_simulated_is_a_convergence_error():
     with refused(
-        r"The laboratory's own bubble at \[600.0, 0.2\] failed: 1 x NON_FINITE", ConvergenceError
+        r"The laboratory's own bubble at \[600.0, 0.2\] failed: 1 x NON_FINITE",
+        ConvergenceError,
     ):
         laboratory(LinearSimulator(fails=True)).shoot(DESIGN, seed=1)
 
@@ -103,9 +106,9 @@ def test_that_every_effect_of_the_library_acts_on_what_is_shot(effect):
     gel = PARAMETERS.pack({"G": 6000.0, "mu": 0.12, **values})
     times = linspace(0.0, 3.0, 61)
     shots = [
-        SimulatedLaboratory(PolytropicSimulator(), one, noise=EXACT, repeats=1, times=times).shoot(
-            DESIGN, seed=1
-        )
+        SimulatedLaboratory(
+            PolytropicSimulator(), one, noise=EXACT, repeats=1, times=times
+        ).shoot(DESIGN, seed=1)
         for one in (truth(), gel)
     ]
     assert (shots[1].radius - shots[0].radius).abs().max() > 1e-4

@@ -26,7 +26,9 @@ OMEGA = 2 * math.pi / PERIOD
 
 
 def marks_of(time: np.ndarray, radius: np.ndarray, **given: float | bool) -> Landmarks:
-    trace = RadiusTrace("x", torch.tensor(time), torch.tensor(radius), "memory", Given(**given))
+    trace = RadiusTrace(
+        "x", torch.tensor(time), torch.tensor(radius), "memory", Given(**given)
+    )
     return find_landmarks(trace)
 
 
@@ -74,7 +76,9 @@ def test_that_collapses_and_rebounds_lie_between_the_frames(noise):
     for _ in range(50):
         time = frames(step=step) + rng.uniform(0, step)
         found = marks_of(time, ringing(time) + noise * TOP * rng.standard_normal(len(time)))
-        assert found.collapse_times_s[:2] == pytest.approx([PERIOD / 2, 3 * PERIOD / 2], abs=step)
+        assert found.collapse_times_s[:2] == pytest.approx(
+            [PERIOD / 2, 3 * PERIOD / 2], abs=step
+        )
         assert found.rebound_times_s[0] == pytest.approx(PERIOD, abs=1.5 * step)
         assert found.rebound_radii_m[0] == pytest.approx(
             REST + (TOP - REST) * math.exp(-PERIOD / TAU), rel=0.02
@@ -110,7 +114,9 @@ def test_that_noise_on_a_settled_tail_is_no_collapse():
 def test_that_a_settled_tail_gives_the_rest_radius_with_its_scatter():
     rng = np.random.default_rng(4)
     time = frames(400)
-    found = marks_of(time, ringing(time, tau=1.5e-5) + 5e-7 * rng.standard_normal(len(time)))
+    found = marks_of(
+        time, ringing(time, tau=1.5e-5) + 5e-7 * rng.standard_normal(len(time))
+    )
     assert found.rest_method == "settled tail"
     assert found.rest_radius_m == pytest.approx(REST, rel=0.005)
     assert 4e-7 < (found.rest_radius_sd_m or 0) < 7e-7
@@ -129,16 +135,18 @@ def bubbles_that_still_ring():
         "G": np.exp(rng.uniform(np.log(100), np.log(3e4), count)),
         "mu": np.exp(rng.uniform(np.log(3e-3), np.log(0.2), count)),
     }
-    parameters = PARAMETERS.pack({name: torch.tensor(value) for name, value in gels.items()})
+    parameters = PARAMETERS.pack(
+        {name: torch.tensor(value) for name, value in gels.items()}
+    )
     times = linspace(0.0, 7.0, 1401)
     solved = TransportSimulator()(parameters, torch.tensor(np.stack([we, rest], -1)), times)
     found: dict[str, list[tuple[float, float]]] = {}
     done = solved.status == Status.DONE
     for radius, true in zip(solved.radius[done].numpy(), rest[done.numpy()], strict=True):
         time = np.linspace(-0.3, rng.uniform(1.6, 7.0), int(rng.integers(40, 256)))
-        frames = np.interp(np.abs(time), times.numpy(), radius) + 0.005 * rng.standard_normal(
-            len(time)
-        )
+        frames = np.interp(
+            np.abs(time), times.numpy(), radius
+        ) + 0.005 * rng.standard_normal(len(time))
         marks = marks_of(1e-5 * time, TOP * np.clip(frames, 0.02, None))
         if marks.rest_radius_m and marks.rest_radius_sd_m:
             error = math.log(marks.rest_radius_m / (TOP * true))
@@ -148,7 +156,9 @@ def bubbles_that_still_ring():
     return {method: np.array(values) for method, values in found.items()}
 
 
-@pytest.mark.parametrize(("method", "bias"), [("last cycles", 0.06), ("first rebound", 0.25)])
+@pytest.mark.parametrize(
+    ("method", "bias"), [("last cycles", 0.06), ("first rebound", 0.25)]
+)
 def test_that_the_rest_radius_of_a_bubble_that_still_rings_is_not_its_mean_radius(
     bubbles_that_still_ring, method, bias
 ):
@@ -172,7 +182,11 @@ def test_that_a_record_without_growth_uses_the_given_maximum_else_the_first_fram
     time = frames(start=3e-7)
     radius = ringing(time)
     found = marks_of(time, radius, max_radius_m=TOP, time_of_max_s=0.0)
-    assert (found.max_radius_m, found.time_of_max_s, found.max_method) == (TOP, 0.0, "as given")
+    assert (found.max_radius_m, found.time_of_max_s, found.max_method) == (
+        TOP,
+        0.0,
+        "as given",
+    )
     found = marks_of(time, radius)
     assert (found.max_radius_m, found.time_of_max_s, found.max_method) == (
         radius[0],
@@ -252,7 +266,9 @@ def test_that_the_maximum_radius_agrees_with_the_published_one(shared, name):
     # bound.
     coarse = name in COARSE
     for found, said in both(shared, name):
-        assert found.max_radius_m == pytest.approx(said["Rmax_m"], rel=0.04 if coarse else 0.01)
+        assert found.max_radius_m == pytest.approx(
+            said["Rmax_m"], rel=0.04 if coarse else 0.01
+        )
         if coarse:
             assert abs(found.max_radius_m - said["Rmax_m"]) < 2.5 * found.max_radius_sd_m
 
@@ -300,7 +316,9 @@ def test_that_noise_in_the_tail_makes_no_cycles_of_which_the_rest_radius_is_take
     for _ in range(100):
         time = frames(80)
         radius = ringing(time, tau=8e-6)
-        radius = radius + TOP * (0.01 + 0.03 * time / time[-1]) * rng.standard_normal(len(time))
+        radius = radius + TOP * (0.01 + 0.03 * time / time[-1]) * rng.standard_normal(
+            len(time)
+        )
         found = marks_of(time, np.clip(radius, 1e-7, None))
         if found.rest_radius_m and found.rest_radius_sd_m:
             errors.append((found.rest_radius_m - REST) / found.rest_radius_sd_m)

@@ -8,7 +8,13 @@ import math
 import pytest
 import torch
 
-from imr_torch import Characterization, PolytropicSimulator, characterize, load_traces, wide_prior
+from imr_torch import (
+    Characterization,
+    PolytropicSimulator,
+    characterize,
+    load_traces,
+    wide_prior,
+)
 from imr_torch.assimilate import SearchOptions
 from imr_torch.characterization import medium_of
 from imr_torch.float64 import linspace
@@ -35,13 +41,19 @@ def test_that_a_value_counts_before_a_name_and_a_name_before_what_is_assumed():
 
 
 def test_that_a_stated_temperature_moves_a_named_medium_and_no_assumed_value():
-    assert gel_medium(text("water,temperature=320")).surroundings.density == water_density(320.0)
-    assert gel_medium(text("temperature=320")).surroundings.density == Surroundings().density
+    assert gel_medium(text("water,temperature=320")).surroundings.density == water_density(
+        320.0
+    )
+    assert (
+        gel_medium(text("temperature=320")).surroundings.density == Surroundings().density
+    )
 
 
 def test_that_a_density_is_loose_where_curves_are_fitted_and_nobody_stated_or_chose_it():
     time = linspace(0.0, 60e-6, 61)
-    curves = TraceSet((RadiusTrace("a", time, 200e-6 * (0.6 + 0.4 * torch.cos(2e5 * time)), "a"),))
+    curves = TraceSet(
+        (RadiusTrace("a", time, 200e-6 * (0.6 + 0.4 * torch.cos(2e5 * time)), "a"),)
+    )
     assert medium_of(curves).sds == {"density": 30.0}
     assert "density (1060 +- 30 kg/m^3)" in medium_of(curves).unstated
     chosen = Surroundings(density=998.0)
@@ -59,13 +71,17 @@ def test_that_standard_deviations_are_priors_of_the_logarithm_in_every_model():
     belief = gel_medium(text("density=1000:20,pressure=101325:500")).believed(
         wide_prior(["newtonian", "nhkv"])
     )
-    assert belief.keys == ("newtonian+medium_pressure+density", "nhkv+medium_pressure+density")
+    assert belief.keys == (
+        "newtonian+medium_pressure+density",
+        "nhkv+medium_pressure+density",
+    )
     part = belief.models[1]
     deviations = dict(zip(part.names, part.sds.tolist(), strict=True))
     assert deviations["density"] == pytest.approx(0.02)
     assert deviations["medium_pressure"] == pytest.approx(500.0 / 101325.0)
     assert (
-        gel_medium(text("density=1000:20,pressure=101325:500")).believed(belief).keys == belief.keys
+        gel_medium(text("density=1000:20,pressure=101325:500")).believed(belief).keys
+        == belief.keys
     )  # once
 
 
@@ -82,7 +98,9 @@ def test_that_the_caller_counts_before_the_file_and_says_so():
 
 
 def test_that_files_of_different_media_are_not_fitted_together_unless_the_caller_decides():
-    files = [Statement.from_json({"density": value}, f"{value}.json") for value in (1000, 1100)]
+    files = [
+        Statement.from_json({"density": value}, f"{value}.json") for value in (1000, 1100)
+    ]
     with refused(r"density: 1000 \(1000.json\) and 1100 \(1100.json\)"):
         gel_medium(None, files)
     assert gel_medium(text("density=1050"), files).surroundings.density == 1050.0
@@ -116,7 +134,9 @@ def test_that_what_cannot_be_is_refused_with_a_remedy(said, message):
 
 
 def test_that_the_json_beside_a_file_states_the_medium_and_text_stays_a_remark(tmp_path):
-    (tmp_path / "gel.csv").write_text("time (us),R (um)\n0,200\n1,190\n2,170\n3,140\n4,100\n")
+    (tmp_path / "gel.csv").write_text(
+        "time (us),R (um)\n0,200\n1,190\n2,170\n3,140\n4,100\n"
+    )
     for medium, density in (
         ({"name": "water", "density": [1010, 5]}, 1010.0),
         ("water, degassed", 1060.0),

@@ -53,7 +53,10 @@ def test_that_a_draw_has_the_stated_mean_and_covariance(noise):
     assert standard.mean(0).abs().max() < 4.5 / n**0.5
     empirical = standard.mT @ standard / n
     assert_close(
-        empirical, correlation(times, noise.correlation_time), rtol=0.0, atol=4.5 * (2.0 / n) ** 0.5
+        empirical,
+        correlation(times, noise.correlation_time),
+        rtol=0.0,
+        atol=4.5 * (2.0 / n) ** 0.5,
     )
 
 
@@ -88,8 +91,12 @@ def test_that_shifts_are_what_they_are_in_metres_and_seconds(shift):
     measured_times = frames() * top / speed
     true_top = top * (1.0 + shift[0])
     true_rest = rest * (1.0 + shift[2])
-    designs, times, factor = displaced(tensor(top / scale, rest / top), frames(), tensor(*shift))
-    assert_close(designs, tensor(true_top / scale, true_rest / true_top), rtol=1e-12, atol=0.0)
+    designs, times, factor = displaced(
+        tensor(top / scale, rest / top), frames(), tensor(*shift)
+    )
+    assert_close(
+        designs, tensor(true_top / scale, true_rest / true_top), rtol=1e-12, atol=0.0
+    )
     expected = (measured_times + shift[1] * top / speed) * speed / true_top
     assert_close(times, expected, rtol=1e-12, atol=0.0)
     assert factor == pytest.approx(true_top / top)

@@ -16,7 +16,10 @@ SIMULATOR = PolytropicSimulator()
 
 
 def seen(
-    designs: torch.Tensor, times: torch.Tensor, shifts: torch.Tensor | None = None, **values: float
+    designs: torch.Tensor,
+    times: torch.Tensor,
+    shifts: torch.Tensor | None = None,
+    **values: float,
 ) -> torch.Tensor:
     """``E x T`` tensor, R/Rmax as measured."""
     return predict(SIMULATOR, PARAMETERS.pack(GEL | values), Film(designs, times), shifts)
@@ -30,12 +33,16 @@ def test_that_a_misplaced_edge_is_in_every_radius_that_is_read_off_the_film(erro
     size = outer.max_radius(weber)
     true = seen(torch.stack((weber, rest), 1), TIMES.expand(2, -1)) * size[:, None]
     measured_size = size + error
-    designs = torch.stack((outer.weber(measured_size), (rest * size + error) / measured_size), 1)
+    designs = torch.stack(
+        (outer.weber(measured_size), (rest * size + error) / measured_size), 1
+    )
     times = TIMES * (outer.time_scale(size) / outer.time_scale(measured_size))[:, None]
     filmed = seen(designs, times, edge_error=error)
     assert_close(filmed, (true + error) / measured_size[:, None], rtol=1e-9, atol=1e-9)
     assert (filmed - seen(designs, times)).abs().max() > 3e-3
-    assert_close(filmed[:, 0], ones(2), rtol=0.0, atol=1e-12)  # at the maximum, whatever it is
+    assert_close(
+        filmed[:, 0], ones(2), rtol=0.0, atol=1e-12
+    )  # at the maximum, whatever it is
 
 
 def test_that_a_misplaced_edge_adds_to_the_nuisances_of_each_experiment():
@@ -45,7 +52,9 @@ def test_that_a_misplaced_edge_adds_to_the_nuisances_of_each_experiment():
     own = tensor([[-edge, 0.0, -edge / 0.2]])
     both = tensor([[0.01, 0.003, 0.02]])
     with_error = seen(designs, TIMES[None], both, edge_error=2e-6)
-    assert_close(with_error, seen(designs, TIMES[None], both + own) + edge, rtol=0.0, atol=1e-12)
+    assert_close(
+        with_error, seen(designs, TIMES[None], both + own) + edge, rtol=0.0, atol=1e-12
+    )
 
 
 def test_that_an_exposure_that_reaches_back_to_before_the_bubble_is_a_failed_member():

@@ -36,11 +36,15 @@ def curve(**gel: float) -> tuple[torch.Tensor, torch.Tensor]:
     """Times in s and radii in m of a bubble in a soft gel."""
     times = linspace(0.0, 3.0, 151)
     design = tensor([OUTER.weber(SIZE), REST[0]])
-    bubble = PolytropicSimulator()(PARAMETERS.pack({"G": 5e3, "mu": 0.1} | gel), design, times)
+    bubble = PolytropicSimulator()(
+        PARAMETERS.pack({"G": 5e3, "mu": 0.1} | gel), design, times
+    )
     return times * SCALE, bubble.radius * SIZE
 
 
-def prepared(change: Callable, given: Given | None = None, rest: tuple[float, float] = REST):
+def prepared(
+    change: Callable, given: Given | None = None, rest: tuple[float, float] = REST
+):
     """What becomes of the curve, changed."""
     return prepare(
         TraceSet((RadiusTrace("shot", *change(*curve()), "gel.csv", given or Given()),)),
@@ -121,7 +125,9 @@ def test_that_a_good_curve_passes_without_a_word_and_its_report_says_what_was_fo
 def test_that_diameters_are_named_since_a_stiff_gel_looks_alike():
     (caution,) = prepared(lambda t, r: (t, 2.0 * r)).cautions
     assert "the first collapse is at t* = 0.4" in caution
-    assert "that of an empty cavity in water at 0.915, in a gel of 70 kPa at 0.55" in caution
+    assert (
+        "that of an empty cavity in water at 0.915, in a gel of 70 kPa at 0.55" in caution
+    )
 
 
 @pytest.mark.parametrize(("modulus", "cautions"), [(5e4, 0), (1e5, 1)])
@@ -141,19 +147,26 @@ def test_that_time_zero_is_the_maximum_and_rmax_its_radius():
         check_experiment(Experiment("shot", (300.0, 0.2), ramp, shifted[None]), "set")
     with refused(r"the largest frame has R/Rmax = 0\.1; possible is 0\.7 to 1\.1"):
         check_experiment(
-            Experiment("shot", (300.0, 0.2), times / SCALE, 0.1 * radius[None] / SIZE), "set"
+            Experiment("shot", (300.0, 0.2), times / SCALE, 0.1 * radius[None] / SIZE),
+            "set",
         )
 
 
 @pytest.mark.parametrize(
-    ("radius", "time", "message"), [(0.1, 1.0, "largest frame"), (1.0, 10.0, "first collapse")]
+    ("radius", "time", "message"),
+    [(0.1, 1.0, "largest frame"), (1.0, 10.0, "first collapse")],
 )
 def test_that_a_set_in_other_units_is_refused(radius, time, message, tmp_path):
     t, r = (x.numpy() for x in curve())
     design = {"we": np.array([OUTER.weber(SIZE)]), "rinf_star": np.array([REST[0]])}
     np.savez(tmp_path / "good.npz", time_s=t[None], radius_m=r[None, None], **design)
     assert len(load_set(tmp_path / "good.npz")) == 1
-    np.savez(tmp_path / "bad.npz", time_s=time * t[None], radius_m=radius * r[None, None], **design)
+    np.savez(
+        tmp_path / "bad.npz",
+        time_s=time * t[None],
+        radius_m=radius * r[None, None],
+        **design,
+    )
     with refused(message):
         load_set(tmp_path / "bad.npz")
 
@@ -184,7 +197,9 @@ def test_that_measured_curves_pass(shared):
 
 
 def test_that_what_the_laboratory_says_of_a_tail_is_true_or_false(tmp_path):
-    rows = "".join(f"a,{t},{r}\n" for t, r in zip(*(x.tolist() for x in curve()), strict=True))
+    rows = "".join(
+        f"a,{t},{r}\n" for t, r in zip(*(x.tolist() for x in curve()), strict=True)
+    )
     (tmp_path / "gel.csv").write_text("experiment_id,time_s,radius_m\n" + rows)
     entry = {"experiment_id": "a", "Rinf_m": 60e-6, "Rinf_settled": "false"}
     (tmp_path / "gel.json").write_text(json.dumps({"experiments": [entry]}))

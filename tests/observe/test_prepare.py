@@ -59,7 +59,9 @@ def test_that_stated_radii_that_are_passed_over_are_said(largest):
     said = [c for c in prepare(TraceSet((mirrored,))).cautions if "is not used" in c]
     top = "The stated Rmax of 'ringing' is not used, since the record shows it. To use it, state it"
     assert any(top in text for text in said) == (largest != 1.0)
-    rest = "R_inf of 'ringing' is not used, since it is stated that the bubble had not settled"
+    rest = (
+        "R_inf of 'ringing' is not used, since it is stated that the bubble had not settled"
+    )
     assert rest in said[-1]
 
 
@@ -74,7 +76,8 @@ def test_that_a_record_without_rest_radius_takes_that_of_the_other_curves_widely
     assert marks.rest_radius_m == pytest.approx(0.5 * TOP, rel=0.1)
     assert marks.rest_radius_sd_m >= 0.39 * marks.rest_radius_m
     assert any(
-        "'short' holds no rebound and no R_inf is stated" in text for text in prepared.cautions
+        "'short' holds no rebound and no R_inf is stated" in text
+        for text in prepared.cautions
     )
     with refused("no rebound and no given R_inf"):
         prepare(TraceSet((cut,)))
@@ -88,7 +91,11 @@ def test_that_a_late_minimum_of_an_overdamped_bubble_is_no_collapse_and_that_of_
     radius = REST + (TOP - REST) * np.exp(-time / 8e-6)
     radius[100] -= 0.4 * REST
     late = RadiusTrace(
-        "late", torch.tensor(time), torch.tensor(radius), "memory", Given(rest_radius_m=REST)
+        "late",
+        torch.tensor(time),
+        torch.tensor(radius),
+        "memory",
+        Given(rest_radius_m=REST),
     )
     prepared = prepare(TraceSet((late,)))
     assert prepared.first_collapses["late"] == np.inf
@@ -96,6 +103,10 @@ def test_that_a_late_minimum_of_an_overdamped_bubble_is_no_collapse_and_that_of_
     with refused("first collapse is at"):
         prepare(
             TraceSet(
-                (RadiusTrace("slow", 10.0 * slow.time_s, slow.radius_m, "memory", slow.given),)
+                (
+                    RadiusTrace(
+                        "slow", 10.0 * slow.time_s, slow.radius_m, "memory", slow.given
+                    ),
+                )
             )
         )

@@ -20,7 +20,9 @@ def test_that_evidence_and_centre_are_those_of_dense_algebra(scatter):
     source = generator(0)
     root = randn(COUNT, 2, 2, generator=source)
     linear = randn(COUNT, 2, generator=source)
-    shots = GaussianShots(root @ root.mT + 0.3 * eye(2), linear, randn(COUNT, generator=source))
+    shots = GaussianShots(
+        root @ root.mT + 0.3 * eye(2), linear, randn(COUNT, generator=source)
+    )
     mean = tensor([0.3, -0.8])
     precision = tensor([[2.0, 0.5], [0.5, 1.0]])
     found = shots.given(tensor([scatter]), mean, precision)
@@ -31,7 +33,8 @@ def test_that_evidence_and_centre_are_those_of_dense_algebra(scatter):
     prior = torch.linalg.inv(precision)
     between = prior.repeat(COUNT, COUNT)
     law = MultivariateNormal(
-        mean.repeat(COUNT), between + torch.block_diag(*(within + tensor(scatter).square().diag()))
+        mean.repeat(COUNT),
+        between + torch.block_diag(*(within + tensor(scatter).square().diag())),
     )
     gain = between[:2] @ torch.linalg.inv(law.covariance_matrix)
     data = modes.flatten()

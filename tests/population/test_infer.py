@@ -69,7 +69,11 @@ def shots(
         )
         made.append(
             Experiment(
-                f"e{e}", design, times, NOISE.draw(clean, times, 1, generator=source), nuisance
+                f"e{e}",
+                design,
+                times,
+                NOISE.draw(clean, times, 1, generator=source),
+                nuisance,
             )
         )
     return made
@@ -88,7 +92,8 @@ class Dense:
             design = tensor(*shot.design)
             frames = len(shot.times)
             rows.append(
-                simulator.columns(frames, design[0])[:, PARAMETERS.index(PART.names)] * slopes
+                simulator.columns(frames, design[0])[:, PARAMETERS.index(PART.names)]
+                * slopes
             )
             common = (
                 0.3**2 * shot.nuisance.time_zero**2
@@ -96,7 +101,8 @@ class Dense:
             )
             noises.append(NOISE.floor**2 * eye(frames) + common)
             observed.append(
-                shot.radius[0] - simulator(PART.parameters(PART.mean), design, shot.times).radius
+                shot.radius[0]
+                - simulator(PART.parameters(PART.mean), design, shot.times).radius
             )
         self.rows = torch.cat(rows)
         self.noise = torch.block_diag(*noises)
@@ -112,12 +118,18 @@ class Dense:
         )
         solved = torch.linalg.solve(R, torch.cat((self.rows, self.y[:, None]), 1))
         covariance = torch.linalg.inv(eye(2) + self.rows.mT @ solved[:, :2])
-        return float(law.log_prob(self.y)), covariance @ self.rows.mT @ solved[:, 2], covariance
+        return (
+            float(law.log_prob(self.y)),
+            covariance @ self.rows.mT @ solved[:, 2],
+            covariance,
+        )
 
 
 def half_normal(scatters: Tensor) -> Tensor:
     """Log density of the prior of scatters."""
-    return 0.5 * math.log(2.0 / math.pi) - math.log(SCALE) - 0.5 * (scatters / SCALE).square()
+    return (
+        0.5 * math.log(2.0 / math.pi) - math.log(SCALE) - 0.5 * (scatters / SCALE).square()
+    )
 
 
 class Exact:
@@ -144,13 +156,17 @@ class Exact:
     def scatter(self) -> tuple[Tensor, Tensor]:
         return self._moments(self.grid)
 
-    def _moments(self, values: Tensor, within: Tensor | float = 0.0) -> tuple[Tensor, Tensor]:
+    def _moments(
+        self, values: Tensor, within: Tensor | float = 0.0
+    ) -> tuple[Tensor, Tensor]:
         mean = self.weights @ values
         return mean, (self.weights @ (within + (values - mean).square())).sqrt()
 
 
 def fits_of(experiments: list[Experiment], simulator, *, part: ModelBelief = PART, **how):
-    return fit_shots(part, experiments, simulator, noise=NOISE, rounds=0, options=OPTIONS, **how)
+    return fit_shots(
+        part, experiments, simulator, noise=NOISE, rounds=0, options=OPTIONS, **how
+    )
 
 
 def inferred(experiments: list[Experiment], simulator, **options) -> Population:
@@ -164,14 +180,23 @@ def test_that_linear_shots_give_what_dense_algebra_gives():
     exact = Exact(experiments)
     found = population.found
     assert population.log_evidence == pytest.approx(exact.log_evidence, abs=0.1)
-    for values, (mean, sd) in ((found.centre, exact.centre()), (found.scatter, exact.scatter())):
+    for values, (mean, sd) in (
+        (found.centre, exact.centre()),
+        (found.scatter, exact.scatter()),
+    ):
         own = found.weights @ values
         assert ((own - mean).abs() / sd < 0.1).all()
-        assert (((found.weights @ (values - own).square()).sqrt() / sd - 1.0).abs() < 0.1).all()
+        assert (
+            ((found.weights @ (values - own).square()).sqrt() / sd - 1.0).abs() < 0.1
+        ).all()
     none = Dense(experiments)(zeros(2))[0]
     factor = population.any_scatter
     partial = [_line(experiments, i) for i in (0, 1)]
-    exactly = float(torch.logsumexp(tensor(exact.log_evidence, *partial), 0)) - math.log(3.0) - none
+    exactly = (
+        float(torch.logsumexp(tensor(exact.log_evidence, *partial), 0))
+        - math.log(3.0)
+        - none
+    )
     assert abs(factor.value - exactly) < 4.0 * factor.error + 0.05
     assert factor.error < 0.3
 
@@ -201,11 +226,13 @@ def test_that_curved_shots_give_what_quadrature_over_gels_and_scatter_gives():
     axis = linspace(-4.0, 4.0, 161)
     controls = torch.cartesian_prod(axis, axis)
     batch = ExperimentBatch(tuple(experiments), NOISE)
-    logs = batch.log_likelihood(predict(simulator, PART.parameters(controls), batch)).mT.reshape(
-        3, 161, 161
-    )
+    logs = batch.log_likelihood(
+        predict(simulator, PART.parameters(controls), batch)
+    ).mT.reshape(3, 161, 161)
     step = float(axis[1] - axis[0])
-    prior_logs = (-0.5 * controls.square().sum(1) - math.log(2.0 * math.pi)).reshape(161, 161)
+    prior_logs = (-0.5 * controls.square().sum(1) - math.log(2.0 * math.pi)).reshape(
+        161, 161
+    )
     scatters = (arange(60) + 0.5) / 60 * 4.0 * SCALE
     evidence = []
     for scatter in scatters:
@@ -240,7 +267,11 @@ def test_that_without_scatter_the_evidence_is_that_of_a_joint_fit():
     belief = Belief((PART,), zeros(1))
     joint = weigh(
         assimilate(
-            belief, ExperimentBatch(tuple(experiments), NOISE), simulator, seed=0, options=OPTIONS
+            belief,
+            ExperimentBatch(tuple(experiments), NOISE),
+            simulator,
+            seed=0,
+            options=OPTIONS,
         ),
         simulator,
         seed=0,
@@ -276,7 +307,9 @@ def test_that_the_stated_error_of_the_evidence_is_its_spread_over_seeds():
         values.append(float(difference[0]))
         errors.append(
             math.hypot(
-                jackknife_error(difference[1:]), found[0].evidence_error, found[1].evidence_error
+                jackknife_error(difference[1:]),
+                found[0].evidence_error,
+                found[1].evidence_error,
             )
         )
     spread = float(torch.tensor(values).std())
@@ -308,7 +341,12 @@ def polytropic():
                 )
             )
         fits = fit_shots(
-            part, made, simulator, rounds=0, options=replace(OPTIONS, raw_samples=48), samples=128
+            part,
+            made,
+            simulator,
+            rounds=0,
+            options=replace(OPTIONS, raw_samples=48),
+            samples=128,
         )
         found[name] = infer_population(fits, draws=1000)
     return found
@@ -322,7 +360,9 @@ def test_that_shots_of_one_gel_are_not_said_to_differ(polytropic):
 def test_that_gels_that_differ_are_found_and_by_which_parameter(polytropic):
     many = polytropic["many"]
     assert many.verdict == "scatter"
-    assert many.by_parameter["G"].value > math.log(10.0) > 0.0 > many.by_parameter["mu"].value
+    assert (
+        many.by_parameter["G"].value > math.log(10.0) > 0.0 > many.by_parameter["mu"].value
+    )
     low, _, high = many.scatter("G")
     assert low < 0.36 < high  # the standard deviation of the five logarithms
     assert "differs between the 5 shots" in many.report()
@@ -332,7 +372,9 @@ def test_that_the_noise_is_said_and_whether_it_was_widened_for_a_misfit(polytrop
     one = polytropic["one"]
     assert f"Noise of every shot: {one.noise}." in one.report()
     assert not any("misses" in text for text in one.cautions)
-    widened = replace(one, noise=replace(one.noise, scale=3.0 * one.noise.scale, widened=3.0))
+    widened = replace(
+        one, noise=replace(one.noise, scale=3.0 * one.noise.scale, widened=3.0)
+    )
     assert widened.cautions[0].startswith("the model misses curves of these shots")
     assert "error bars widened 3.0 times" in widened.report()
 
@@ -341,7 +383,9 @@ def test_that_a_parameter_that_rises_with_the_bubble_is_named():
     made = []
     simulator = LinearSimulator()
     for e in range(6):
-        truth = PARAMETERS.pack({"G": MEANS["G"], "mu": MEANS["mu"] + SDS["mu"] * (0.5 * e - 1.0)})
+        truth = PARAMETERS.pack(
+            {"G": MEANS["G"], "mu": MEANS["mu"] + SDS["mu"] * (0.5 * e - 1.0)}
+        )
         times = linspace(0.1, 2.0, 12)
         design = tensor(200.0 + 100.0 * e, 0.2)
         radius = NOISE.draw(
@@ -394,7 +438,9 @@ def test_that_a_population_of_one_shot_no_shots_and_two_of_one_name_are_refused(
     with refused("got 0"):
         fit_shots(PART, [], LinearSimulator())
     with refused("of different names are needed"):
-        fit_shots(PART, [experiments[0], replace(experiments[1], label="e0")], LinearSimulator())
+        fit_shots(
+            PART, [experiments[0], replace(experiments[1], label="e0")], LinearSimulator()
+        )
     with refused("at least two shots"):
         infer_population(_fits()[:1])
 
@@ -411,9 +457,9 @@ def test_that_what_is_inferred_of_the_medium_is_the_same_in_all_shots():
     simulator = medium.applied(PolytropicSimulator(threads=1))
     design = tensor(400.0, 0.22)
     films = [
-        SimulatedLaboratory(simulator, PARAMETERS.pack({"G": G, "mu": 0.09}), repeats=1).shoot(
-            design, seed=i, label=f"film {i}"
-        )
+        SimulatedLaboratory(
+            simulator, PARAMETERS.pack({"G": G, "mu": 0.09}), repeats=1
+        ).shoot(design, seed=i, label=f"film {i}")
         for i, G in enumerate((6e3, 8e3, 11e3))
     ]
     population = infer_population(

@@ -31,14 +31,20 @@ def test_that_one_law_of_a_misfit_for_shots_of_different_gels_states_intervals_t
     for seed in range(20):
         batch, gels = drifting(seed, alone=True)
         shots = [ExperimentBatch((shot,), NOISE) for shot in batch.experiments]
-        fits = [assimilate(BELIEF, shot, SLOW, seed=0, options=OPTIONS).fits[0] for shot in shots]
+        fits = [
+            assimilate(BELIEF, shot, SLOW, seed=0, options=OPTIONS).fits[0]
+            for shot in shots
+        ]
         near = [
             Posterior(PART, shot, SLOW).neighbourhood(fit.point)
             for shot, fit in zip(shots, fits, strict=True)
         ]
         law = infer_frame_noise(near, few).for_fits(widen=True).law
         assert law.correlation_time == 0.0
-        for kind, scale in (("independent", law.scale / law.widened), ("widened", law.scale)):
+        for kind, scale in (
+            ("independent", law.scale / law.widened),
+            ("widened", law.scale),
+        ):
             for shot, gel in zip(shots, gels, strict=True):
                 inside[kind] += hold(replace(shot, noise=replace(law, scale=scale)), gel)
     assert_that_only_widened_hold(inside)
@@ -51,7 +57,9 @@ def test_that_the_noise_is_that_of_a_misfit_where_the_model_misses_the_shots(mis
     for number, G in enumerate((6e3, 9e3)):
         truth = PARAMETERS.pack({"G": G, "mu": 0.09, "gas_loss": 2.0 if missed else 0.0})
         laboratory = SimulatedLaboratory(simulator, truth, repeats=1)
-        shots.append(laboratory.shoot(tensor([400.0, 0.22]), seed=number, label=f"shot {number}"))
+        shots.append(
+            laboratory.shoot(tensor([400.0, 0.22]), seed=number, label=f"shot {number}")
+        )
     fits = fit_shots(
         wide_prior(["nhkv"])["nhkv"],
         shots,

@@ -104,7 +104,10 @@ def test_that_decimal_commas_are_read_where_columns_are_not_divided_by_commas(
 WIDE = "time (us),shot 1 (um),shot 2 (um),Temperature\n"
 TABLES = {
     "the header is the last comment": (f"# camera 3\n# t (us),R (um)\n{rows()}", ("gel",)),
-    "spreadsheets name the separator": (f"sep=;\nt (us);R (um)\n{rows(';', ',')}", ("gel",)),
+    "spreadsheets name the separator": (
+        f"sep=;\nt (us);R (um)\n{rows(';', ',')}",
+        ("gel",),
+    ),
     "every column is a curve": (
         WIDE + written("{i},{x},{x},21"),
         ("shot 1 (um)", "shot 2 (um)"),
@@ -154,7 +157,10 @@ def test_that_the_json_beside_gives_pixel_size_and_frame_rate(tmp_path):
     entry = {"experiments": [{"experiment_id": "gel", "pixel_size_m": 2e-6}]}
     for said in ({"pixel_size_m": 2e-6}, entry):
         check(load_text(tmp_path, text, beside=rate | said), ("gel",))
-    for size, message in ((3e-6, "write pixel_size_m once"), (0, "is 0; expected one above 0")):
+    for size, message in (
+        (3e-6, "write pixel_size_m once"),
+        (0, "is 0; expected one above 0"),
+    ):
         with refused(message):
             load_text(tmp_path, text, beside=rate | entry | {"pixel_size_m": size})
 
@@ -164,7 +170,11 @@ def test_that_the_json_beside_describes_camera_medium_and_radii(tmp_path):
     radii = {"Rmax_m": 2.6e-4, "Rmax_sd_m": 2e-6, "Rinf_m": 4e-5, "Rinf_sd_m": 1e-6}
     trace = load_text(tmp_path, "t (us),R (um)\n" + rows(), beside=said | radii)["gel"]
     given = trace.given
-    assert (given.medium, given.frame_rate_hz, given.exposure_s) == ("10 % gelatin", 1e6, 2e-7)
+    assert (given.medium, given.frame_rate_hz, given.exposure_s) == (
+        "10 % gelatin",
+        1e6,
+        2e-7,
+    )
     marks = find_landmarks(trace)
     assert [marks.max_radius_m, marks.max_radius_sd_m] == [2.6e-4, 2e-6]
     assert [marks.rest_radius_m, marks.rest_radius_sd_m] == [4e-5, 1e-6]
@@ -203,10 +213,14 @@ def test_that_the_sheets_of_a_workbook_are_tables(tmp_path):
     )
     plain = workbook(tmp_path / "plain.xlsx", first=[["t", "R"], [], *SHEET[1:]])
     check(
-        load_traces(plain, layout=Layout.from_text("radius=R,radius_unit=um,time=t,time_unit=us")),
+        load_traces(
+            plain, layout=Layout.from_text("radius=R,radius_unit=um,time=t,time_unit=us")
+        ),
         ("plain",),
     )
-    with refused(r"plain\.xlsx: 'R' and 't' have no unit\. .*radius=R,radius_unit=um,time=t"):
+    with refused(
+        r"plain\.xlsx: 'R' and 't' have no unit\. .*radius=R,radius_unit=um,time=t"
+    ):
         load_traces(plain)
     with refused(r"none\.xlsx: every sheet is empty"):
         load_traces(workbook(tmp_path / "none.xlsx", first=[]))
@@ -217,15 +231,23 @@ def test_that_a_workbook_needs_openpyxl_and_says_so(tmp_path, monkeypatch):
         archive.writestr("xl/workbook.xml", "<workbook/>")
     monkeypatch.setitem(sys.modules, "openpyxl", None)
     with refused(
-        r"gel\.xlsx: .*pip install 'imr_torch\[xlsx\]'; or save the sheet as CSV", UnsupportedError
+        r"gel\.xlsx: .*pip install 'imr_torch\[xlsx\]'; or save the sheet as CSV",
+        UnsupportedError,
     ):
         load_traces(tmp_path / "gel.xlsx")
 
 
 def imrfit(path: Path, **changes: object) -> Path:
-    si = {"unit_system": "SI", "time_unit": "s", "radius_unit": "m", "unit_metadata_version": 1}
+    si = {
+        "unit_system": "SI",
+        "time_unit": "s",
+        "radius_unit": "m",
+        "unit_metadata_version": 1,
+    }
     curve = {"t_exp": 1e-6 * np.arange(8), "R_exp": 1e-6 * np.array(RADII), "Req": 4e-5}
-    scipy.io.savemat(path, {**curve, "t_sim": np.arange(3.0), "R_sim": np.ones(3), **si, **changes})
+    scipy.io.savemat(
+        path, {**curve, "t_sim": np.arange(3.0), "R_sim": np.ones(3), **si, **changes}
+    )
     return path
 
 
@@ -233,15 +255,23 @@ def test_that_a_result_of_imrfit_is_read_in_the_units_that_it_declares(tmp_path)
     traces = load_traces(imrfit(tmp_path / "si.mat"))
     check(traces, ("si",))
     assert traces[0].given.rest_radius_m == pytest.approx(4e-5)
-    assert any("radius from 'R_exp' in m, time from 't_exp' in s" in x for x in traces.notes)
+    assert any(
+        "radius from 'R_exp' in m, time from 't_exp' in s" in x for x in traces.notes
+    )
     units = {"time_unit": "us", "radius_unit": "um"}
     micro = imrfit(
-        tmp_path / "micro.mat", t_exp=np.arange(8.0), R_exp=np.array(RADII), Req=40.0, **units
+        tmp_path / "micro.mat",
+        t_exp=np.arange(8.0),
+        R_exp=np.array(RADII),
+        Req=40.0,
+        **units,
     )
     traces = load_traces(micro)
     check(traces, ("micro",))
     assert traces[0].given.rest_radius_m == pytest.approx(4e-5)
-    with refused(r"odd\.mat: variable 'radius_unit' is 'furlong'; expected one of m, um, mm"):
+    with refused(
+        r"odd\.mat: variable 'radius_unit' is 'furlong'; expected one of m, um, mm"
+    ):
         load_traces(imrfit(tmp_path / "odd.mat", radius_unit="furlong"))
 
 

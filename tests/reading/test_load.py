@@ -28,7 +28,9 @@ HEADER = "experiment_id,time_s,radius_m\n"
 
 
 def table(name: str = "a", n: int = 8, start: float = 0.0) -> str:
-    return "".join(f"{name},{start + i * 1e-6:.9g},{2e-4 - i * 1e-5:.9g}\n" for i in range(n))
+    return "".join(
+        f"{name},{start + i * 1e-6:.9g},{2e-4 - i * 1e-5:.9g}\n" for i in range(n)
+    )
 
 
 def written_curves(path: Path, *names: str) -> Path:
@@ -49,7 +51,9 @@ def test_that_every_line_of_the_separated_table_is_used_or_accounted_for(shared)
     assert sum("before nucleation" in r for r in reasons) == 59
     stray = next(x for x in traces.left_out if "stray" in x.reason)
     assert stray.rows == "1"
-    marks = next(x for x in traces.left_out if "separator" in x.reason and "stray" not in x.reason)
+    marks = next(
+        x for x in traces.left_out if "separator" in x.reason and "stray" not in x.reason
+    )
     dropped = [n for part in marks.rows.split(", ") for n in part.split("-")]
     assert len(dropped) == 59
     assert sum(len(t) for t in traces) + 59 + 59 + 1 == len(path.read_text().splitlines())
@@ -78,18 +82,28 @@ def test_that_the_json_beside_a_table_gives_the_laboratorys_values(tmp_path):
     traces = load_traces(path)
     assert traces["b"].given == Given(2.1e-4, -1e-7, 5e-5, 1e-6, True)
     assert traces["a"].given == Given()
-    assert any("describes 1 experiment(s)" in note and note.endswith("c.") for note in traces.notes)
+    assert any(
+        "describes 1 experiment(s)" in note and note.endswith("c.") for note in traces.notes
+    )
 
 
 def test_that_lost_frames_are_left_out_with_their_rows_and_reasons(tmp_path):
     rows = ["0,0", "1,nan", "2,90", "3,0", "4,95", "5,94", "6,", "7,90", "8,80", "9,NaN"]
     path = written(tmp_path / "x.txt", "t,R\n" + "\n".join(rows))
-    traces = load_traces(path, layout=Layout("R", radius_unit="um", time="t", time_unit="us"))
+    traces = load_traces(
+        path, layout=Layout("R", radius_unit="um", time="t", time_unit="us")
+    )
     assert_close(traces[0].time_s, 1e-6 * tensor([2.0, 4, 5, 7, 8]))
     assert_close(traces[0].radius_m, 1e-6 * tensor([90.0, 95, 94, 90, 80]))
     found = [(x.rows, x.reason.partition("(")[2].rstrip(")")) for x in traces.left_out]
-    assert found == [("2-3", "before nucleation"), ("5, 8", "lost frames"), ("11", "lost frames")]
-    assert all(x.rows in traces.report() and x.reason in traces.report() for x in traces.left_out)
+    assert found == [
+        ("2-3", "before nucleation"),
+        ("5, 8", "lost frames"),
+        ("11", "lost frames"),
+    ]
+    assert all(
+        x.rows in traces.report() and x.reason in traces.report() for x in traces.left_out
+    )
 
 
 def test_that_single_impossible_radii_are_lost_frames_and_many_are_refused(tmp_path):
@@ -124,7 +138,10 @@ def test_that_a_short_curve_is_left_out_and_the_others_stay(tmp_path):
         )
     )
     assert traces.ids == ("a", "b")
-    assert "and 7 more record(s), 28 row(s), listed in the JSON: only 4 frame" in traces.report()
+    assert (
+        "and 7 more record(s), 28 row(s), listed in the JSON: only 4 frame"
+        in traces.report()
+    )
     assert traces.left_out[0].experiment_id == "short"
     assert "only 4 frame(s)" in traces.left_out[0].reason
     assert traces.left_out[0].rows == "10-13"
@@ -220,9 +237,15 @@ def test_that_a_pressure_is_read_in_its_units(tmp_path, text):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("t,p\n0,1\n1,2\n2,3\n", r"expected one column of time with its unit, such as 'time"),
+        (
+            "t,p\n0,1\n1,2\n2,3\n",
+            r"expected one column of time with its unit, such as 'time",
+        ),
         ("t (us),a (Pa),b (Pa)\n0,1,1\n1,2,1\n", r"found a \(Pa\), b \(Pa\)"),
-        ("t (us),p (Pa)\n0,1\n0,2\n2,3\n", r"p\.csv: TabulatedDriving\.times must increase"),
+        (
+            "t (us),p (Pa)\n0,1\n0,2\n2,3\n",
+            r"p\.csv: TabulatedDriving\.times must increase",
+        ),
     ],
 )
 def test_that_what_is_no_pressure_is_refused(tmp_path, text, message):
@@ -235,7 +258,15 @@ def test_that_a_sampled_sound_field_moves_a_bubble_as_its_formula_does(tmp_path)
     times = [1e-7 * i for i in range(-20, 2000)]
     rows = [f"{1e6 * t:.9g},{20.0 * math.sin(2.0 * math.pi * 30e3 * t):.9g}" for t in times]
     path = written(tmp_path / "p.csv", "\n".join(["t (us),p (kPa)", *rows]))
-    command = ["simulate", "--physics", "polytropic", "--set", "G=8310,mu=0.093", "--until", "2"]
+    command = [
+        "simulate",
+        "--physics",
+        "polytropic",
+        "--set",
+        "G=8310,mu=0.093",
+        "--until",
+        "2",
+    ]
     command += f"--driving {path} --json {tmp_path}/bubble.json".split()
     assert main(command) == 0
     found = read_json(tmp_path / "bubble.json")

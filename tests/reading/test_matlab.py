@@ -62,7 +62,9 @@ def test_that_dimensionless_cells_of_v73_become_si(shared):
     assert [len(t) for t in traces] == [249] * 4
     for ours, theirs in zip(traces, published, strict=True):
         assert_close(ours.radius_m, theirs.radius_m, rtol=1e-7, atol=0)
-        assert ours.given.max_radius_m == pytest.approx(theirs.given.max_radius_m, rel=1e-12)
+        assert ours.given.max_radius_m == pytest.approx(
+            theirs.given.max_radius_m, rel=1e-12
+        )
         assert ours.given.time_of_max_s == 0.0
         step = ours.time_s.diff().median().item()
         assert step == pytest.approx(4.995e-7, rel=1e-3)
@@ -108,12 +110,16 @@ def test_that_the_entries_with_equal_frame_spacing_are_found(tmp_path, chosen):
     tops = [1.5e-4, 1.83e-4, 1.61e-4, 2.1e-4]
     path = dimensionless_file(tmp_path / "x.mat", tops, [tops[i] for i in chosen])
     traces = load_traces(path)
-    assert [t.given.max_radius_m for t in traces] == pytest.approx([tops[i] for i in chosen])
+    assert [t.given.max_radius_m for t in traces] == pytest.approx(
+        [tops[i] for i in chosen]
+    )
     assert traces[0].time_s.diff()[0].item() == pytest.approx(5e-7)
 
 
 def test_that_an_ambiguous_choice_is_an_error_with_both_remedies(tmp_path):
-    path = dimensionless_file(tmp_path / "x.mat", [1.5e-4, 1.5e-4, 1.8e-4], [1.5e-4, 1.8e-4])
+    path = dimensionless_file(
+        tmp_path / "x.mat", [1.5e-4, 1.5e-4, 1.8e-4], [1.5e-4, 1.8e-4]
+    )
     match = (
         r"x\.mat: variable 'RmaxList' has 3 entries for 2 curves, and 2 choices fit a frame spacing, equal for all "
         r"curves \(within 0\.2 %\)\. Give frame_interval=<seconds between frames>, or max_radius_entries=1\+2 in --layout.*"
@@ -124,7 +130,9 @@ def test_that_an_ambiguous_choice_is_an_error_with_both_remedies(tmp_path):
 
 
 def test_that_entries_that_no_frame_interval_explains_are_an_error(tmp_path):
-    path = dimensionless_file(tmp_path / "x.mat", [1.5e-4, 1.83e-4, 1.8e-4], [1.5e-4, 1.8e-4])
+    path = dimensionless_file(
+        tmp_path / "x.mat", [1.5e-4, 1.83e-4, 1.8e-4], [1.5e-4, 1.8e-4]
+    )
     layout = Layout.from_text(
         "radius=R_nondim_All,radius_unit=dimensionless,time=t_nondim_All,time_unit=dimensionless,max_radius=RmaxList,"
         "inserted_peak=time_zero,frame_interval=1e-6"
@@ -135,7 +143,9 @@ def test_that_entries_that_no_frame_interval_explains_are_an_error(tmp_path):
 
 def test_that_named_entries_override_and_are_counted_from_one(tmp_path):
     path = dimensionless_file(tmp_path / "x.mat", [9e-4, 1.5e-4], [1.5e-4])
-    settings = {name: getattr(DIMENSIONLESS, name) for name in DIMENSIONLESS.__dataclass_fields__}
+    settings = {
+        name: getattr(DIMENSIONLESS, name) for name in DIMENSIONLESS.__dataclass_fields__
+    }
     traces = load_traces(path, layout=Layout(**{**settings, "max_radius_entries": (2,)}))
     assert traces[0].given.max_radius_m == pytest.approx(1.5e-4)
     with refused(r"2 entries for 1 curves, and max_radius_entries=\(3,\)"):
@@ -152,8 +162,12 @@ def test_that_fields_of_a_struct_are_variables(tmp_path):
 
 def test_that_a_first_row_which_is_no_peak_is_an_error(tmp_path):
     radius = np.linspace(1e-4, 2e-4, 10)
-    with refused(r"row 1: radius 0\.0001 m is not the fitted peak \(max_radius 0\.0002 m\)"):
-        load_saved(tmp_path, {"Rnew": radius, "t": np.arange(10) * 1e-6, "RmaxAll": 2e-4}, "p.mat")
+    with refused(
+        r"row 1: radius 0\.0001 m is not the fitted peak \(max_radius 0\.0002 m\)"
+    ):
+        load_saved(
+            tmp_path, {"Rnew": radius, "t": np.arange(10) * 1e-6, "RmaxAll": 2e-4}, "p.mat"
+        )
 
 
 def test_that_times_at_odds_with_the_frame_interval_are_an_error(tmp_path):
@@ -187,7 +201,11 @@ UM = Layout("R", radius_unit="um", time="t", time_unit="us")
             r"variable 'R', named by the layout, is not in the file\. It holds: r \(10,\), t \(10,\)",
         ),
         ({"R": R + 1j, "t": T}, UM, r"variable 'R' holds .*, not real numbers"),
-        ({"R": as_cells([R, R, R]), "t": as_cells([T, T])}, UM, r"'t' holds 2 vectors and 'R' 3"),
+        (
+            {"R": as_cells([R, R, R]), "t": as_cells([T, T])},
+            UM,
+            r"'t' holds 2 vectors and 'R' 3",
+        ),
         (
             {"R": R, "t": T, "dx": np.array([1.0, 2.0])},
             Layout("R", radius_unit="px", pixel_size="dx", time="t", time_unit="us"),

@@ -29,7 +29,12 @@ SCALES = {"pixel_size_m": 3.2e-6, "frame_rate_fps": 1e6}
 
 
 def check(
-    traces: TraceSet, *, first: int = 0, count: int = 1, digits: float = 1e-9, **given: float
+    traces: TraceSet,
+    *,
+    first: int = 0,
+    count: int = 1,
+    digits: float = 1e-9,
+    **given: float,
 ) -> None:
     """That a file gave the curve from frame ``first`` on, ``count`` times, and what is given."""
     assert len(traces) == count
@@ -62,7 +67,11 @@ TABLE = pd.DataFrame({"Time_s": TIMES, "Radius_um": MICROMETRES})
 def tracker_rows(*, scaled: bool = True) -> list[list[str]]:
     """The table of BubbleTrack 3.0: frames without a bubble are left out of it."""
     frames = np.arange(COUNT)
-    lengths = {"Radius": PIXELS, "Center_Row": frames * 0 + 60.0, "Center_Col": frames * 0 + 61.0}
+    lengths = {
+        "Radius": PIXELS,
+        "Center_Row": frames * 0 + 60.0,
+        "Center_Col": frames * 0 + 61.0,
+    }
     columns = {"Frame": [str(i + 1) for i in frames]}
     if scaled:
         columns["Time_s"] = [f"{time:.8f}" for time in TIMES]
@@ -87,7 +96,9 @@ def test_that_a_workbook_of_bubbletrack_is_read_alike(tmp_path):
     check(load_traces(tmp_path / "gel.xlsx"), digits=1e-5)
 
 
-def test_that_pixels_and_frames_of_bubbletrack_take_their_scales_from_the_json_beside(tmp_path):
+def test_that_pixels_and_frames_of_bubbletrack_take_their_scales_from_the_json_beside(
+    tmp_path,
+):
     rows = tracker_rows(scaled=False)
     table = "\n".join(",".join(row) for row in rows)
     check(load_text(tmp_path, table, beside=SCALES), digits=1e-5)
@@ -100,12 +111,15 @@ def test_that_pixels_and_frames_of_bubbletrack_take_their_scales_from_the_json_b
     traces = load_saved(tmp_path, content, "pixels.mat", beside=SCALES)
     check(traces)
     assert (
-        "row(s) 1-2 (2 in all): radius 0, negative or NaN before the first frame" in traces.report()
+        "row(s) 1-2 (2 in all): radius 0, negative or NaN before the first frame"
+        in traces.report()
     )
 
 
 @pytest.mark.parametrize("with_peak", [True, False])
-def test_that_a_curve_of_bubbletrack_has_marks_for_frames_without_a_bubble(tmp_path, with_peak):
+def test_that_a_curve_of_bubbletrack_has_marks_for_frames_without_a_bubble(
+    tmp_path, with_peak
+):
     """Radii in um, -1 pixel where there was no bubble, and a fitted peak between the frames."""
     radius = np.concatenate([np.full(3, -3.2), MICROMETRES])
     times = 1e-6 * np.arange(-3.0, COUNT)
@@ -142,7 +156,9 @@ def test_that_single_marks_before_the_first_bubble_are_no_bubble_yet(tmp_path):
     ("radius", "time"), [("R", "t"), ("R2", "t2"), ("R_exp", "t_exp"), ("Rnew", "t")]
 )
 @pytest.mark.parametrize("scale", [1.0, 1e6])
-def test_that_imr_codes_save_metres_or_micrometres_and_seconds(tmp_path, radius, time, scale):
+def test_that_imr_codes_save_metres_or_micrometres_and_seconds(
+    tmp_path, radius, time, scale
+):
     content = {radius: scale * RADII, time: TIMES, "P_inf": 101325.0, "Req": scale * 4e-5}
     traces = load_saved(tmp_path, content)
     check(traces, rest_radius_m=4e-5)
@@ -152,10 +168,15 @@ def test_that_imr_codes_save_metres_or_micrometres_and_seconds(tmp_path, radius,
     ("content", "said"),
     [
         ({"R_exp": PIXELS}, {"radius_unit": "px", "pixel_size_m": 3.2e-6}),
-        ({"R_exp": MICROMETRES, "t_exp": 1e6 * TIMES}, {"radius_unit": "um", "time_unit": "us"}),
+        (
+            {"R_exp": MICROMETRES, "t_exp": 1e6 * TIMES},
+            {"radius_unit": "um", "time_unit": "us"},
+        ),
     ],
 )
-def test_that_what_an_import_wizard_asks_for_may_stand_beside_the_file(tmp_path, content, said):
+def test_that_what_an_import_wizard_asks_for_may_stand_beside_the_file(
+    tmp_path, content, said
+):
     check(load_saved(tmp_path, content, beside=said | {"frame_rate_fps": 1e6}))
 
 
@@ -174,14 +195,23 @@ def test_that_a_result_with_its_experiment_gives_the_experiment(tmp_path):
     fit = np.zeros((1, 3), dtype=[("name", object), ("value", object)])
     fit["name"] = [["G", "mu", "alpha"]]
     fit["value"] = [[1e4, 0.1, 0.2]]
-    simulated = {"t_sim": TIMES, "R_sim": RADII, "R1_nondim_exp": RADII, "t_nondim_exp": TIMES}
-    with refused(r"fit\.mat: holds the parameters of a fit \(struct_best_fit\) and no curve; give"):
+    simulated = {
+        "t_sim": TIMES,
+        "R_sim": RADII,
+        "R1_nondim_exp": RADII,
+        "t_nondim_exp": TIMES,
+    }
+    with refused(
+        r"fit\.mat: holds the parameters of a fit \(struct_best_fit\) and no curve; give"
+    ):
         load_saved(tmp_path, {"struct_best_fit": fit}, "fit.mat")
     whole = {"struct_best_fit": fit, "t_exp": TIMES, "R1_exp": RADII, **simulated}
     check(load_saved(tmp_path, whole, "whole.mat"))
     check(
         load_saved(
-            tmp_path, {"struct_best_fit": {"t_exp": TIMES, "R1_exp": RADII, "G": 1e4}}, "nested.mat"
+            tmp_path,
+            {"struct_best_fit": {"t_exp": TIMES, "R1_exp": RADII, "G": 1e4}},
+            "nested.mat",
         )
     )
 
@@ -196,7 +226,9 @@ def test_that_structs_of_experiments_are_curves(tmp_path):
     check(traces, count=3, max_radius_m=RADII.max())
     assert [trace.given.rest_radius_m for trace in traces] == [4e-5, None, 5e-5]
     assert traces.ids == ("gel_01", "gel_02", "gel_03")
-    check(load_saved(tmp_path, {"expts": expts[:, :1]}, "one.mat"), max_radius_m=RADII.max())
+    check(
+        load_saved(tmp_path, {"expts": expts[:, :1]}, "one.mat"), max_radius_m=RADII.max()
+    )
 
 
 def test_that_an_empty_cell_of_imr_prime_is_left_out_and_said(tmp_path):
@@ -208,7 +240,9 @@ def test_that_an_empty_cell_of_imr_prime_is_left_out_and_said(tmp_path):
     traces = load_saved(tmp_path, content)
     check(traces, count=2, max_radius_m=RADII.max())
     assert traces.ids == ("gel_01", "gel_03")
-    assert [(x.experiment_id, x.reason) for x in traces.left_out] == [("gel_02", "an empty cell")]
+    assert [(x.experiment_id, x.reason) for x in traces.left_out] == [
+        ("gel_02", "an empty cell")
+    ]
 
 
 @pytest.mark.parametrize(
@@ -220,7 +254,11 @@ def test_that_an_empty_cell_of_imr_prime_is_left_out_and_said(tmp_path):
 )
 def test_that_empty_cells_alone_hold_no_curve(tmp_path, cells, message):
     empty = as_cells([np.empty((0, 0))] * cells)
-    content = {"R_nondim_All": empty, "t_nondim_All": empty, "RmaxList": np.array([2e-4, 1e-4])}
+    content = {
+        "R_nondim_All": empty,
+        "t_nondim_All": empty,
+        "RmaxList": np.array([2e-4, 1e-4]),
+    }
     with refused(message):
         load_saved(tmp_path, content)
 
@@ -245,7 +283,9 @@ def test_that_dimensionless_times_are_undone_with_the_density_and_pressure_of_th
 
 
 @pytest.mark.parametrize("turned", [False, True])
-def test_that_a_matrix_of_curves_beside_their_times_is_a_curve_a_row_or_column(tmp_path, turned):
+def test_that_a_matrix_of_curves_beside_their_times_is_a_curve_a_row_or_column(
+    tmp_path, turned
+):
     """The first IMR code: ``Rnew`` in um, one row an experiment, and ``t`` in s."""
     curves = 1e6 * np.stack([RADII] * 3)
     matrix = curves.T if turned else curves
@@ -276,7 +316,9 @@ def test_that_tables_timetables_and_strings_of_matlab_are_read(tmp_path, version
     path = tmp_path / "gel.mat"
     matio.save_to_mat(str(path), {"T": TABLE}, version=version)
     check(load_traces(path))
-    shots = pd.concat([TABLE.assign(shot=x) for x in ("first", "second")], ignore_index=True)
+    shots = pd.concat(
+        [TABLE.assign(shot=x) for x in ("first", "second")], ignore_index=True
+    )
     matio.save_to_mat(str(path), {"T": shots}, version=version)
     traces = load_traces(path)
     check(traces, count=2)
@@ -296,7 +338,8 @@ def test_that_tables_timetables_and_strings_of_matlab_are_read(tmp_path, version
 def test_that_names_of_cells_and_numbers_of_frames_tell_no_rows_apart(tmp_path):
     curves = {"R_um": as_cells([MICROMETRES] * 2), "t_us": 1e6 * TIMES}
     check(
-        load_saved(tmp_path, curves | {"id": as_cells(["first", "second"])}, "cells.mat"), count=2
+        load_saved(tmp_path, curves | {"id": as_cells(["first", "second"])}, "cells.mat"),
+        count=2,
     )
     frames = {"id": np.arange(COUNT), "R_um": MICROMETRES, "t_us": 1e6 * TIMES}
     check(load_saved(tmp_path, {"shot": frames}, "frames.mat"))
@@ -323,12 +366,16 @@ def test_that_two_half_axes_are_a_radius_and_an_asphericity(tmp_path):
     across = MICROMETRES * stretch ** (1 / 3)
     along = MICROMETRES * stretch ** (-2 / 3)
     across[0] = 0.0
-    rows = [f"{1e6 * t},{a:.12g},{b:.12g}" for t, a, b in zip(TIMES, across, along, strict=True)]
+    rows = [
+        f"{1e6 * t},{a:.12g},{b:.12g}" for t, a, b in zip(TIMES, across, along, strict=True)
+    ]
     traces = load_text(tmp_path, "\n".join(["t (us),a (um),b (um)", *rows]))
     check(traces, first=1)
     (trace,) = traces
     assert trace.asphericity is not None
-    assert_close(trace.asphericity, torch.as_tensor(stretch[1:] - 1.0), rtol=1e-9, atol=1e-12)
+    assert_close(
+        trace.asphericity, torch.as_tensor(stretch[1:] - 1.0), rtol=1e-9, atol=1e-12
+    )
     assert "half axes a and b of an ellipsoid" in traces.notes[0]
     assert "asphericity a/b - 1 from -0.095 to 0.1" in traces.report()
     with refused(r"'a \(um\)', 'b \(mm\)' differ in their units"):
@@ -350,7 +397,10 @@ def test_that_collapse_times_of_parsimonious_imr_are_read(tmp_path):
     array = np.array([[3.4e-4, 8.0, 3.05e-5], [3.0e-4, 7.5, 2.7e-5]])
     scipy.io.savemat(tmp_path / "gel.mat", {"pIMR_array": array})
     shots = load_collapse_times(tmp_path / "gel.mat")
-    assert [(x.experiment_id, x.stretch) for x in shots] == [("gel_001", 8.0), ("gel_002", 7.5)]
+    assert [(x.experiment_id, x.stretch) for x in shots] == [
+        ("gel_001", 8.0),
+        ("gel_002", 7.5),
+    ]
     scipy.io.savemat(tmp_path / "bad.mat", {"pIMR_array": array.T})
     with refused(r"pIMR_array has shape \(3, 2\); expected one row"):
         load_collapse_times(tmp_path / "bad.mat")

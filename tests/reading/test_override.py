@@ -24,7 +24,9 @@ from tests.results.documents import write_table
 
 def trace(override: Override | None = None) -> RadiusTrace:
     time = linspace(-4e-6, 90e-6, 189)
-    radius = 200e-6 * (0.55 + 0.45 * (-time.clamp(min=0.0) / 2e-4).exp() * torch.cos(1.6e5 * time))
+    radius = 200e-6 * (
+        0.55 + 0.45 * (-time.clamp(min=0.0) / 2e-4).exp() * torch.cos(1.6e5 * time)
+    )
     return RadiusTrace(
         "shot",
         time,
@@ -34,7 +36,9 @@ def trace(override: Override | None = None) -> RadiusTrace:
     )
 
 
-def write(folder: Path, curves: tuple[str, ...] = ("shot",), beside: dict | None = None) -> Path:
+def write(
+    folder: Path, curves: tuple[str, ...] = ("shot",), beside: dict | None = None
+) -> Path:
     if beside is not None:
         (folder / "gel.json").write_text(json.dumps(beside))
     records = TraceSet(tuple(replace(trace(), experiment_id=name) for name in curves))
@@ -61,14 +65,18 @@ def test_that_what_is_stated_replaces_what_is_found_and_the_rest_is_found():
 def test_that_the_window_ends_where_it_is_stated():
     one = trace(Override(window_end_s=30e-6))
     prepared = prepare(TraceSet((one,)), collapses=2)
-    inside = (one.time_s >= prepared.landmarks["shot"].time_of_max_s) & (one.time_s <= 30e-6)
+    inside = (one.time_s >= prepared.landmarks["shot"].time_of_max_s) & (
+        one.time_s <= 30e-6
+    )
     assert len(prepared.experiments[0].times) == int(inside.sum())
     longer = prepare(TraceSet((trace(Override(window_end_s=85e-6)),)), collapses=1)
     assert len(longer.experiments[0].times) > 2 * int(inside.sum())
 
 
 def test_that_a_window_without_frames_is_refused():
-    with refused(r"1 frames between its maximum and the stated end of the window at 0\.4 us"):
+    with refused(
+        r"1 frames between its maximum and the stated end of the window at 0\.4 us"
+    ):
         prepare(TraceSet((trace(Override(window_end_s=4e-7)),)))
 
 
@@ -118,10 +126,14 @@ def test_that_the_values_at_the_top_of_a_file_with_one_curve_stay_valid(tmp_path
 
 def test_that_unknown_fields_and_wrong_values_are_named(tmp_path):
     path = write(tmp_path, beside={"override": {"Rmax": 1.0}})
-    with refused(r"override of experiment 'shot' has the unknown field\(s\) Rmax; expected some"):
+    with refused(
+        r"override of experiment 'shot' has the unknown field\(s\) Rmax; expected some"
+    ):
         load_traces(path)
     (tmp_path / "gel.json").write_text('{"override": {"Rinf_m": "4e-5"}}')
-    with refused(r"Rinf_m of the override of experiment 'shot' is '4e-5'; expected a number"):
+    with refused(
+        r"Rinf_m of the override of experiment 'shot' is '4e-5'; expected a number"
+    ):
         load_traces(path)
     (tmp_path / "gel.json").unlink()
     with refused(r"Override\.rest_radius_m is -1\.0"):

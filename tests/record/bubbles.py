@@ -45,7 +45,9 @@ def make_rate(top, rest, modulus, viscosity, near=0.0):
         mach = speed / sound
         push = (1 + mach) * pressure / density + radius * change / (density * sound)
         push -= 1.5 * speed**2 * (1 - mach / 3) + near * 2 * radius * speed**2 / top
-        inertia = (1 - mach) * radius + 4 * viscosity / (density * sound) + near * radius**2 / top
+        inertia = (
+            (1 - mach) * radius + 4 * viscosity / (density * sound) + near * radius**2 / top
+        )
         bend = push / inertia
         if not shape:
             return [speed, bend]

@@ -9,7 +9,14 @@ import pytest
 import torch
 
 from benchmarks.gap.single_curves import characterize_traces
-from benchmarks.spoilt_records import BAD, FITS, SHOTS, film_bubble, judge_shots, simulate_shots
+from benchmarks.spoilt_records import (
+    BAD,
+    FITS,
+    SHOTS,
+    film_bubble,
+    judge_shots,
+    simulate_shots,
+)
 from imr_torch.files import read_json
 from imr_torch.observe import Given, RadiusTrace, TraceSet, load_traces, prepare
 from imr_torch.record import ALL_ALIKE, RecordOptions, describe_record
@@ -30,7 +37,9 @@ GELS = [(2e-4, 4e-5, 8e3, 0.1), (3e-4, 4.5e-5, 2e3, 0.2), (1e-4, 3e-5, 2e4, 0.1)
 def film(bubble, seed, **errors):
     """Growth, and the collapse to just beyond its end."""
     rng = np.random.default_rng(seed)
-    return film_bubble("a", bubble, rng, **{"noise": 0.003, "spacing": 0.028, "last": 1.0} | errors)
+    return film_bubble(
+        "a", bubble, rng, **{"noise": 0.003, "spacing": 0.028, "last": 1.0} | errors
+    )
 
 
 def first_cycle(trace):
@@ -56,7 +65,10 @@ def test_split_and_modulus_are_those_of_another_code(gel):
     split = np.nanmedian([c.collapse - c.growth for c in cycles], 0)
     common = np.nanmedian([0.5 * (c.collapse + c.growth) for c in cycles], 0)
     inside = cycles[0].levels < 0.9
-    error = np.abs(split - collapse + growth)[inside].mean() / (collapse - growth)[inside].mean()
+    error = (
+        np.abs(split - collapse + growth)[inside].mean()
+        / (collapse - growth)[inside].mean()
+    )
     assert error < 0.1
     assert np.abs(common - 0.5 * (growth + collapse))[inside].mean() < 0.06
     assert np.median([c.modulus for c in cycles]) == pytest.approx(modulus, rel=0.1)
@@ -115,7 +127,9 @@ def test_two_shots_cannot_outvote_each_other():
     assert [shot.odd for shot in told.shots] == [None, None]
     assert "Two shots cannot outvote each other" in told.sentences()[-1]
     shots = [
-        replace(shot, cycles=tuple(replace(x, modulus=-1e3, viscosity=0.1) for x in shot.cycles))
+        replace(
+            shot, cycles=tuple(replace(x, modulus=-1e3, viscosity=0.1) for x in shot.cycles)
+        )
         for shot in told.shots
     ]
     text = "\n".join(replace(told, shots=tuple(shots)).sentences())
@@ -126,7 +140,9 @@ def test_two_shots_cannot_outvote_each_other():
 
 
 def test_a_shot_that_stands_out_is_named_with_what_is_odd():
-    assert describe_record(one_bad()).sentences()[-1].startswith("shot 3 stands out in chord")
+    assert (
+        describe_record(one_bad()).sentences()[-1].startswith("shot 3 stands out in chord")
+    )
 
 
 def test_a_shot_that_stands_out_counts_little_in_fits_unless_asked_to():
@@ -143,12 +159,16 @@ def test_a_shot_that_stands_out_counts_little_in_fits_unless_asked_to():
 def test_a_bad_shot_moves_the_gel_less(few_deviations):
     fits = {
         weigh: [
-            characterize_traces(*simulate_shots("wall", 0.15, seed), 0, simulator=FITS, weigh=weigh)
+            characterize_traces(
+                *simulate_shots("wall", 0.15, seed), 0, simulator=FITS, weigh=weigh
+            )
             for seed in range(2)
         ]
         for weigh in (True, False)
     }
-    moved = {weigh: np.mean([abs(x["error"]["G"]) for x in own]) for weigh, own in fits.items()}
+    moved = {
+        weigh: np.mean([abs(x["error"]["G"]) for x in own]) for weigh, own in fits.items()
+    }
     assert moved[True] < 0.5 * moved[False]
     assert moved[True] < 0.05
 
@@ -175,7 +195,9 @@ def test_without_growth_no_split_is_shown():
 def test_the_document_draws_the_figure():
     traces = one_bad().traces
     after = traces[0].time_s >= 0
-    cut = replace(traces[0], time_s=traces[0].time_s[after], radius_m=traces[0].radius_m[after])
+    cut = replace(
+        traces[0], time_s=traces[0].time_s[after], radius_m=traces[0].radius_m[after]
+    )
     for told in (describe_record(traces[:3]), describe_record([cut])):
         figure = record_figure(told.to_dict())
         assert len(figure.axes) == 5
@@ -190,7 +212,11 @@ def test_options_that_leave_nothing_to_fit_are_refused(wrong):
 
 @pytest.mark.parametrize(
     ("name", "low", "high"),
-    [("water_laser", 0.010, 0.020), ("peg8k_20pct_liquid", 0.02, 0.10), ("pegda_s1", 0.06, 0.13)],
+    [
+        ("water_laser", 0.010, 0.020),
+        ("peg8k_20pct_liquid", 0.02, 0.10),
+        ("pegda_s1", 0.06, 0.13),
+    ],
 )
 def test_skewness_of_measured_sets(name, low, high, shared):
     path = shared / "data" / f"{name}.csv"
@@ -207,9 +233,13 @@ def test_the_second_cycle_of_the_full_physics_of_another_code(shared):
     times = curves["t_1601"][::8] * case["t0_s"]
     noise = 0.003 * np.random.default_rng(0).standard_normal(len(radius))
     top, rest = case["Rmax_m"], case["Rinf_star"] * case["Rmax_m"]
-    given = Given(max_radius_m=top, time_of_max_s=0.0, rest_radius_m=rest, rest_settled=True)
+    given = Given(
+        max_radius_m=top, time_of_max_s=0.0, rest_radius_m=rest, rest_settled=True
+    )
     seen = torch.tensor(top * np.maximum(radius + noise, 0.01))
-    told = describe_record([RadiusTrace("P06", torch.tensor(times), seen, "reference", given)])
+    told = describe_record(
+        [RadiusTrace("P06", torch.tensor(times), seen, "reference", given)]
+    )
     (second,) = (cycle for cycle in told.shots[0].cycles if cycle.number == 2)
     assert second.modulus == pytest.approx(case["G_Pa"], rel=0.15)
     assert abs(second.viscosity - case["mu_Pa_s"]) < 3.0 * second.viscosity_sd

@@ -39,11 +39,15 @@ def traces(
         gel = PARAMETERS.pack(GEL | extra)
         before = tensor([0.03, 0.06, 0.09])
         radius = torch.cat([SIMULATOR(gel, design, t).radius for t in (before, times)])
-        radius[:3] = radius[:3].flip(0)  # growth mirrors the collapse where the bubble is large
+        radius[:3] = radius[:3].flip(
+            0
+        )  # growth mirrors the collapse where the bubble is large
         times = torch.cat((-before.flip(0), times))
         radius = radius + noise * randn(len(radius), generator=source)
         time_s = 5e-6 + times * Surroundings().time_scale(size)
-        found.append(RadiusTrace(label, time_s, size * radius.clamp_min(1e-3), "folder/gel.csv"))
+        found.append(
+            RadiusTrace(label, time_s, size * radius.clamp_min(1e-3), "folder/gel.csv")
+        )
     return TraceSet(tuple(found))
 
 
@@ -87,7 +91,9 @@ def population(**changes: Any) -> dict[str, Any]:
         "prior": {"kind": "half-normal", "scale": 0.3},
         "parameters": {"G": entry | {"log_bayes_factor": BAYES}},
         "shots": [shot | {"id": name, "smooth_misses": 0.1} for name in ("$x_{bad$", "b")],
-        "scales": [{"scale": 0.15, "log_bayes_factor": BAYES, "scatter": {"G": entry["scatter"]}}],
+        "scales": [
+            {"scale": 0.15, "log_bayes_factor": BAYES, "scatter": {"G": entry["scatter"]}}
+        ],
         "noise": {"scale": 1.2},
         "draws": draws | {"reliable": True, "worst_error": 0.1},
         "cautions": [],

@@ -50,7 +50,10 @@ def test_that_every_frame_is_fitted_or_has_a_reason(result, document):
         )
         assert [x["reason"].split()[0] for x in use["not_fitted"]] == ["before", "after"]
         assert use["not_fitted"][0]["start_s"] == pytest.approx(float(trace.time_s[0]))
-    assert f"{curve['id']}: {use['fitted']} of {use['recorded']} frames fitted" in found.report()
+    assert (
+        f"{curve['id']}: {use['fitted']} of {use['recorded']} frames fitted"
+        in found.report()
+    )
     assert "Every row of the files was read." in records.report()
 
 
@@ -59,7 +62,9 @@ def test_that_fitted_frames_are_the_ones_of_the_experiment(result, document):
     for curve, experiment in zip(document["curves"], found.experiments, strict=True):
         seen = curve["measured"]
         fitted = np.array(seen["fitted"])
-        assert np.array(seen["R_star"])[fitted] == pytest.approx(experiment.radius[0].numpy())
+        assert np.array(seen["R_star"])[fitted] == pytest.approx(
+            experiment.radius[0].numpy()
+        )
         assert np.array(seen["t_star"])[fitted] == pytest.approx(experiment.times.numpy())
 
 
@@ -68,20 +73,30 @@ def test_that_the_drawn_curve_goes_through_the_predictions(result, document):
     for e, curve in enumerate(document["curves"]):
         times = found.experiments[e].times.numpy()
         predicted = (
-            found.assimilation["nhkv"].prediction[e].numpy()[: len(found.experiments[e].times)]
+            found.assimilation["nhkv"]
+            .prediction[e]
+            .numpy()[: len(found.experiments[e].times)]
         )
         drawn = np.interp(
             times, curve["models"]["nhkv"]["t_star"], curve["models"]["nhkv"]["R_star"]
         )
         assert drawn == pytest.approx(predicted, abs=2e-3)
-        inside = np.interp(times, curve["band"]["t_star"], curve["band"]["high"]) - predicted
+        inside = (
+            np.interp(times, curve["band"]["t_star"], curve["band"]["high"]) - predicted
+        )
         assert (inside > 0.0).all()
 
 
 def test_that_the_header_names_schema_software_units_and_medium(document):
     assert document["schema"] == {"name": "imr_torch characterize", "version": 1}
     assert set(document["software"]) == {"imr_torch", "torch", "python"}
-    density = {"value": 1060.0, "unit": "kg/m^3", "sd": None, "stated": True, "source": "medium"}
+    density = {
+        "value": 1060.0,
+        "unit": "kg/m^3",
+        "sd": None,
+        "stated": True,
+        "source": "medium",
+    }
     assert document["medium"]["density"] == density
     assert document["units"]["*_s"] == "s"
     assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00", document["created"])
@@ -100,7 +115,10 @@ def test_that_files_come_with_their_hashes_and_those_beside_them(tmp_path):
 
 
 test_that_a_document_of_another_kind_or_version_is_refused = refusals(
-    (lambda: check_document({}), "has no 'schema' of imr_torch, .*make it anew with --json"),
+    (
+        lambda: check_document({}),
+        "has no 'schema' of imr_torch, .*make it anew with --json",
+    ),
     (lambda: check_document([1]), "has no 'schema' of imr_torch"),
     (
         lambda: check_document({"schema": {"name": "imr_torch design", "version": 2}}),
@@ -114,7 +132,9 @@ test_that_a_document_of_another_kind_or_version_is_refused = refusals(
 
 
 def test_that_labels_give_file_names_of_their_own_that_fit_a_file_system():
-    names = [file_name(label) for label in ("a/b", "a_b", "a b", "..", "x" * 300, "x" * 299, "é")]
+    names = [
+        file_name(label) for label in ("a/b", "a_b", "a b", "..", "x" * 300, "x" * 299, "é")
+    ]
     assert len(set(names)) == len(names)
     assert max(map(len, names)) < 60
     assert all(set("/. ").isdisjoint(name) for name in names)
@@ -137,7 +157,10 @@ def test_that_every_figure_is_drawn_from_the_file_alone_and_none_overwrites_anot
     rendered, document, tmp_path
 ):
     write_json(tmp_path / "result.json", document)
-    assert main(f"plot {tmp_path}/result.json --out {tmp_path}/again --format png,svg".split()) == 0
+    assert (
+        main(f"plot {tmp_path}/result.json --out {tmp_path}/again --format png,svg".split())
+        == 0
+    )
     names = {path.stem for path in (tmp_path / "again").glob("*.png")}
     curves = {f"curve_{file_name(label)}" for label in documents.LABELS}
     assert names == {
@@ -199,7 +222,9 @@ def test_that_the_shape_of_a_bubble_is_drawn_where_two_axes_were_seen(document):
     curve = document["curves"][0]
     frames = len(curve["measured"]["t_star"])
     seen = curve["measured"] | {"asphericity": [0.05] * frames}
-    plain, shaped = (curve_figure(entry, document) for entry in (curve, curve | {"measured": seen}))
+    plain, shaped = (
+        curve_figure(entry, document) for entry in (curve, curve | {"measured": seen})
+    )
     assert len(shaped.axes) == len(plain.axes) + 1
     (points,) = shaped.axes[-1].lines
     assert points.get_ydata().tolist() == seen["asphericity"]
@@ -207,7 +232,9 @@ def test_that_the_shape_of_a_bubble_is_drawn_where_two_axes_were_seen(document):
 
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium")
 @pytest.mark.parametrize("width", [400, 1200])
-def test_that_a_browser_shows_the_page_without_scrolling_sideways(document, tmp_path, width):
+def test_that_a_browser_shows_the_page_without_scrolling_sideways(
+    document, tmp_path, width
+):
     """The page is put into a frame of the width, since browsers' windows are not that narrow, and a script measures it."""
     page = document_page(document, report="x" * 500)
     assert wider_than(page, width, tmp_path) <= 0
@@ -245,7 +272,9 @@ def wider_than(page: str, width: int, folder: Path) -> int:
     return int(found[1])
 
 
-def test_that_curves_of_the_model_are_explained_and_those_of_an_unmodelled_effect_are_not(document):
+def test_that_curves_of_the_model_are_explained_and_those_of_an_unmodelled_effect_are_not(
+    document,
+):
     assert document["fit_test"]["explained"] is True
     assert document["fit_test"]["sentence"].startswith(
         "Fit: the model explains the curves within their noise (p = "
@@ -273,7 +302,9 @@ def test_that_the_command_line_writes_json_before_figures_and_the_page(
         f"characterize {tmp_path}/gel.csv --models nhkv --rest-radius 0.2:0.01 --physics polytropic"
     ).split()
     out = tmp_path / "out"
-    assert main([*arguments, *f"--quiet --out {out} --html {tmp_path}/page.html".split()]) == 0
+    assert (
+        main([*arguments, *f"--quiet --out {out} --html {tmp_path}/page.html".split()]) == 0
+    )
     document = read_json(out / "characterize.json")
     assert document["files"][0]["name"] == "gel.csv"
     assert document["command"].startswith("imr-torch characterize ")
@@ -295,4 +326,6 @@ def test_that_plot_refuses_what_it_cannot_draw(tmp_path, said_by):
         ["plot", str(tmp_path / "r.json")], 2
     )
     write_json(tmp_path / "r.json", header("demo"))
-    assert "holds no curves or map to draw" in said_by(["plot", str(tmp_path / "r.json")], 2)
+    assert "holds no curves or map to draw" in said_by(
+        ["plot", str(tmp_path / "r.json")], 2
+    )

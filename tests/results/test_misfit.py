@@ -94,7 +94,9 @@ def test_that_text_and_page_say_that_the_model_misses_the_curves(kind, tmp_path)
     assert ("lacks first (imr-torch diagnose" in report) is (kind == "campaign")
     page = document_page(document)
     for text in (report, page):
-        assert ("Quote nothing of these curves" in text) is (kind in ("campaign", "characterize"))
+        assert ("Quote nothing of these curves" in text) is (
+            kind in ("campaign", "characterize")
+        )
     assert "does not explain" in page.partition("<details>")[0]
     assert 'class="verdict warning"' in page
 
@@ -106,7 +108,11 @@ def missed():
 
 def test_that_every_figure_of_a_misfit_says_so(missed):
     two = header("compare") | compare_document(Path())
-    for document, said in ((missed, True), (missed | {"fit_test": None}, False), (two, True)):
+    for document, said in (
+        (missed, True),
+        (missed | {"fit_test": None}, False),
+        (two, True),
+    ):
         for item in draw_figures(document):
             figure = item.draw()
             fitted = item.name != "record"

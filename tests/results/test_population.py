@@ -44,7 +44,9 @@ def test_that_the_page_states_median_scatter_and_evidence():
     ]
     assert "Caution: mu rises." in text
     assert f"Noise of every shot: {Noise(scale=1.2)}." in text
-    first, _ = page_part(population(log_bayes_factor=BAYES | {"value": 80.0})).split("half-normal")
+    first, _ = page_part(population(log_bayes_factor=BAYES | {"value": 80.0})).split(
+        "half-normal"
+    )
     assert "above 30 nats" in first
 
 
@@ -63,7 +65,10 @@ def test_that_the_command_writes_report_json_figure_and_page(
     assert [shot["id"] for shot in found["shots"]] == ["a", "b", "c"]
     low, _, high = found["parameters"]["G"]["median"]
     assert low < 8310.0 < high
-    assert "Log evidence that a parameter scatters, over none" in (out / "report.txt").read_text()
+    assert (
+        "Log evidence that a parameter scatters, over none"
+        in (out / "report.txt").read_text()
+    )
     assert (out / "population.png").stat().st_size > 5000
     assert "population" in [figure.name for figure in draw_figures(document)]
     assert "Does the gel differ from shot to shot?" in page.read_text()
@@ -74,7 +79,12 @@ def test_that_a_population_of_one_curve_is_refused(monkeypatch):
     with refused("A population is inferred from curves, and there is 1"):
         characterize(traces(("a",)), simulator=SIMULATOR, population=True)
     monkeypatch.setattr("imr_torch.characterization.request.MOST", 2)
-    with refused("gen_qkv has 3 parameters of the gel, and at most 2 can differ between shots"):
+    with refused(
+        "gen_qkv has 3 parameters of the gel, and at most 2 can differ between shots"
+    ):
         characterize(
-            traces(("a", "b")), prior=wide_prior(["gen_qkv"]), simulator=SIMULATOR, population=True
+            traces(("a", "b")),
+            prior=wide_prior(["gen_qkv"]),
+            simulator=SIMULATOR,
+            population=True,
         )

@@ -27,15 +27,30 @@ def found():
     ("change", "said"),
     [
         ({}, "Quote for NHKV: G "),
-        ({"model_probabilities": {"nhkv": 0.7}}, "say that the model has a probability of 0.70"),
+        (
+            {"model_probabilities": {"nhkv": 0.7}},
+            "say that the model has a probability of 0.70",
+        ),
         ({"fit_test": None}, "say that it was not tested whether it explains the data"),
         ({"medium_unstated": "Not stated."}, "say that the density was not measured"),
-        ({"medium_sensitivities": [ASSUMED]}, "; it holds for the assumed pressure 101 kPa."),
-        ({"physics": "polytropic"}, "say that the gas was polytropic, which biases G and mu"),
+        (
+            {"medium_sensitivities": [ASSUMED]},
+            "; it holds for the assumed pressure 101 kPa.",
+        ),
+        (
+            {"physics": "polytropic"},
+            "say that the gas was polytropic, which biases G and mu",
+        ),
         (APART, "say that parts of the records disagree"),
-        ({"fit_test": MISSED} | APART, "Quote nothing of these curves: NHKV does not explain them"),
+        (
+            {"fit_test": MISSED} | APART,
+            "Quote nothing of these curves: NHKV does not explain them",
+        ),
         ({"converged": False}, "Quote nothing: the fit of NHKV has not converged"),
-        ({"verdict": "refused"}, "Quote nothing: the computation of the intervals of NHKV is not"),
+        (
+            {"verdict": "refused"},
+            "Quote nothing: the computation of the intervals of NHKV is not",
+        ),
         ({"collapse_patterns": ["a pattern"]}, "Quote medians alone"),
         (
             {"fit_test": MISSED, "population": population(verdict="scatter")},
@@ -65,12 +80,18 @@ def test_that_the_last_sentence_says_what_to_quote(found, change, said):
     first, *_, last = document_report(document).splitlines()
     assert said in last
     undecided = change.get("population", {}).get("verdict") == "undecided"
-    assert ("differs from shot to shot, if at all, by" in document_report(document)) is undecided
+    assert (
+        "differs from shot to shot, if at all, by" in document_report(document)
+    ) is undecided
     if "parts" in change:
         missed = "fit_test" in change
-        assert first.startswith("Misfit" if missed else "Parts of the records disagree. The model")
+        assert first.startswith(
+            "Misfit" if missed else "Parts of the records disagree. The model"
+        )
     assert (
-        ("polytropic" in first) == ("polytropic" in last) == (document["physics"] == "polytropic")
+        ("polytropic" in first)
+        == ("polytropic" in last)
+        == (document["physics"] == "polytropic")
     )
     assert said in document_page(document).partition("<section>")[0]
 

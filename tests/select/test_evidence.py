@@ -38,14 +38,17 @@ def fitted(batch: ExperimentBatch, belief: Belief | None = None) -> Assimilation
 
 
 def weighted(
-    fit: ModelFit, batch: ExperimentBatch, simulator: LinearSimulator | None = None, **options
+    fit: ModelFit,
+    batch: ExperimentBatch,
+    simulator: LinearSimulator | None = None,
+    **options,
 ) -> Evidence:
     """Evidence of one fit from its own draws."""
     belief = Belief((fit.prior,), tensor(0.0))
     return log_evidence(
-        weigh(Assimilation(belief, batch, (fit,)), simulator or LinearSimulator(), **options).fits[
-            0
-        ]
+        weigh(
+            Assimilation(belief, batch, (fit,)), simulator or LinearSimulator(), **options
+        ).fits[0]
     )
 
 
@@ -53,7 +56,9 @@ def is_trusted(evidence: Evidence) -> bool:
     return are_reliable(evidence.pareto_k, evidence.effective_samples, evidence.samples)
 
 
-def found(assimilation: Assimilation, *, seed: int, samples: int = 256) -> tuple[Evidence, ...]:
+def found(
+    assimilation: Assimilation, *, seed: int, samples: int = 256
+) -> tuple[Evidence, ...]:
     return evidences(weigh(assimilation, LinearSimulator(), seed=seed, samples=samples))
 
 
@@ -64,7 +69,9 @@ def simple():
     return batch, fitted(batch, belief).fits[0], exact(belief.models[0], batch).log_evidence
 
 
-@pytest.mark.parametrize("correlated", [False, True], ids=["standard prior", "correlated prior"])
+@pytest.mark.parametrize(
+    "correlated", [False, True], ids=["standard prior", "correlated prior"]
+)
 @for_each("batch", BATCHES)
 def test_that_the_evidence_is_within_four_errors_of_its_closed_form(batch, correlated):
     belief = prior(correlated=correlated)
@@ -126,7 +133,9 @@ def test_that_evidence_and_odds_multiply_exactly_once_over_designs_seen_in_turn(
     # them integrates over
     chance, chance_of_squares = (1e-5, 1e-5) if nuisance is None else (0.03, 0.1)
     moved = torch.linalg.solve_triangular(
-        torch.linalg.cholesky(whole.covariance), (chained.mean - whole.mean)[:, None], upper=False
+        torch.linalg.cholesky(whole.covariance),
+        (chained.mean - whole.mean)[:, None],
+        upper=False,
     )
     scaled = torch.linalg.solve_triangular(
         torch.linalg.cholesky(whole.covariance), chained.chol, upper=False
@@ -147,7 +156,9 @@ def test_that_samples_that_fail_count_as_impossible_data(simple):
 
 
 def test_that_a_fit_without_weighted_draws_has_no_evidence(simple):
-    with refused(r"The fit of 'nhkv' has no weighted draws; pass its assimilation through `weigh`"):
+    with refused(
+        r"The fit of 'nhkv' has no weighted draws; pass its assimilation through `weigh`"
+    ):
         log_evidence(simple[1])
 
 
@@ -174,7 +185,9 @@ def made(model: str) -> Evidence:
     return Evidence(model, 0.0, 0.1, 100.0, 256, 0, 0.3)
 
 
-@pytest.mark.parametrize("models", [("nhkv", "newtonian", "gen_qkv"), ("newtonian", "nhkv"), ()])
+@pytest.mark.parametrize(
+    "models", [("nhkv", "newtonian", "gen_qkv"), ("newtonian", "nhkv"), ()]
+)
 def test_that_evidence_of_other_models_is_refused(models):
     with refused(
         r"Evidence of .* does not match the belief over \['newtonian', 'nhkv', 'gen_qkv'\]"
@@ -189,7 +202,9 @@ def test_that_the_error_of_a_probability_is_the_scatter_that_the_evidence_errors
         for m, v, e in zip(MODELS, (0.3, 0.0, -1.0), (0.05, 0.08, 0.02), strict=True)
     ]
     noise = randn(200_000, 3, generator=generator(0))
-    logs = tensor(*[e.value for e in evidence]) + noise * tensor(*[e.error for e in evidence])
+    logs = tensor(*[e.value for e in evidence]) + noise * tensor(
+        *[e.error for e in evidence]
+    )
     scatter = torch.softmax(belief.log_probabilities + logs, dim=1).std(0)
     errors = probability_errors(belief, evidence)
     assert_close(tensor(*errors.values()), scatter, rtol=0.02, atol=0.0)
@@ -206,7 +221,9 @@ def test_that_the_error_of_a_refused_model_holds_what_its_draws_may_lack():
         failed=0,
         pareto_k=0.54,
     )
-    sized = type("Sample", (SimpleNamespace,), {"__len__": lambda self: 256})(**vars(sample))
+    sized = type("Sample", (SimpleNamespace,), {"__len__": lambda self: 256})(
+        **vars(sample)
+    )
     fit = SimpleNamespace(model="nhkv", sample=sized, verdict=Verdict.REPAIRED)
     assert log_evidence(fit).error == 0.1
     fit.verdict = Verdict.REFUSED

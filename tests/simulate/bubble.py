@@ -94,7 +94,9 @@ def assert_that_rates_are_derivatives(
         torch.testing.assert_close(rate.detach(), derivative, rtol=1e-12, atol=error)
 
 
-def sampled(pressure: Callable[[np.ndarray], np.ndarray], last: float = 5e-4) -> TabulatedDriving:
+def sampled(
+    pressure: Callable[[np.ndarray], np.ndarray], last: float = 5e-4
+) -> TabulatedDriving:
     """A pressure (Pa) as a function of time (s), sampled so finely that it is its own spline."""
     times = np.linspace(-2e-5, last, 8001)
     return TabulatedDriving(tuple(times.tolist()), tuple(pressure(times).tolist()))
@@ -114,9 +116,7 @@ class Reference:
     G: float = 0.0
     mu: float = 0.0
     alpha: float = 0.0
-    vapour_stiffens: bool = (
-        False  # the departure of the other public code: p' = -3 kappa p U/R with the total p
-    )
+    vapour_stiffens: bool = False  # the departure of the other public code: p' = -3 kappa p U/R with the total p
 
     def right_side(self, weber: float, rest: float) -> Callable:
         s = self.conditions.surroundings
@@ -128,7 +128,11 @@ class Reference:
         r_inf = rest * r_max
         p_v = 1.17e11 * math.exp(-5200.0 / s.temperature) if gas.vapour else 0.0
         p_rest = p_inf + 2.0 * s.surface_tension / r_inf - p_v
-        p_top = p_rest * rest**3 if gas.reference == "maximum" else p_rest * rest ** (3.0 * kappa)
+        p_top = (
+            p_rest * rest**3
+            if gas.reference == "maximum"
+            else p_rest * rest ** (3.0 * kappa)
+        )
         time = r_max * math.sqrt(rho / p_inf)
 
         def rate(t: float, y: np.ndarray) -> list[float]:
@@ -137,7 +141,11 @@ class Reference:
             l = radius / r_inf  # noqa: E741
             p_gas = p_top * (r_max / radius) ** (3.0 * kappa)
             p_gas_dot = (
-                -3.0 * kappa * (p_gas + (p_v if self.vapour_stiffens else 0.0)) * speed / radius
+                -3.0
+                * kappa
+                * (p_gas + (p_v if self.vapour_stiffens else 0.0))
+                * speed
+                / radius
             )
             tension = 2.0 * s.surface_tension / radius
             tension_dot = -2.0 * s.surface_tension * speed / radius**2

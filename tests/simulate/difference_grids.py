@@ -27,7 +27,9 @@ class AuthorsResolution(Resolution):
     """The published code's grid: uniform in ``y`` inside; it has ``reach = 2``."""
 
     def grids(self) -> tuple[Grid, Grid]:
-        return _with_centre(*_even_differences(self.inside)), _outside(self.outside, self.reach)
+        return _with_centre(*_even_differences(self.inside)), _outside(
+            self.outside, self.reach
+        )
 
 
 def _outside(nodes: int, reach: float) -> Grid:

@@ -24,7 +24,9 @@ Array = NDArray[np.float64]
 
 _WALL = 3  # row of tau_w in the state with transport
 _ITERATIONS = 50
-_INCREMENT = 1e-7  # for the slope of the wall's balance, whose error only slows Newton's method
+_INCREMENT = (
+    1e-7  # for the slope of the wall's balance, whose error only slows Newton's method
+)
 _SETTLED = 1e-13
 
 
@@ -69,7 +71,9 @@ class _Transport:
 
     def __init__(self, equations: Equations) -> None:
         self._equations = equations
-        self._copies = lru_cache(lambda count: equations.take(torch.zeros(count, dtype=torch.long)))
+        self._copies = lru_cache(
+            lambda count: equations.take(torch.zeros(count, dtype=torch.long))
+        )
         self._last_wall = 0.0
 
     def start(self) -> Array:

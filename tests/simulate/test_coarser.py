@@ -28,7 +28,10 @@ def test_that_their_errors_are_of_the_order_of_a_thousandth():
     exact = TransportSimulator(accuracy=ACCURACIES["reference"])(gels, DESIGN, TIMES).radius
     coarse, default = (
         float(
-            (TransportSimulator(accuracy=ACCURACIES[name])(gels, DESIGN, TIMES).radius - exact)
+            (
+                TransportSimulator(accuracy=ACCURACIES[name])(gels, DESIGN, TIMES).radius
+                - exact
+            )
             .abs()
             .mean()
         )

@@ -58,11 +58,15 @@ LAWS = [
 EVERY_CLOSURE = {
     **CLOSURES,
     "gas at rest, no vapour": Conditions(gas=PolytropicGas(1.4, "rest", vapour=False)),
-    "table": Conditions(driving=TabulatedDriving((0.0, 1e-5, 3e-5, 5e-5), (0.0, 1e4, -5e3, 0.0))),
+    "table": Conditions(
+        driving=TabulatedDriving((0.0, 1e-5, 3e-5, 5e-5), (0.0, 1e4, -5e3, 0.0))
+    ),
     "moving start": Conditions(initial_velocity=-0.5),
 }
 EACH_ONCE = [
-    x for x in MOTIONS if x in RADIAL_EQUATIONS.values() or x.key == "keller_miksis_enthalpy"
+    x
+    for x in MOTIONS
+    if x in RADIAL_EQUATIONS.values() or x.key == "keller_miksis_enthalpy"
 ]
 assert {x.key for x in EACH_ONCE} == {x.key for x in MOTIONS}
 assert {x.liquid.key for x in EACH_ONCE} == {x.liquid.key for x in MOTIONS}
@@ -110,7 +114,9 @@ def gels_of_the_registries() -> dict[str, Tensor]:
         effect.name: gel(**plain | dict(zip(effect.names, effect.starts[0], strict=True)))
         for effect in EFFECTS
     }
-    amplitudes = {term: {"Pa": 1e3}.get(PARAMETERS[term.switch].unit, 0.01) for term in LAWS}
+    amplitudes = {
+        term: {"Pa": 1e3}.get(PARAMETERS[term.switch].unit, 0.01) for term in LAWS
+    }
     gels |= {
         term.name: gel(**plain, alpha=0.1, **{term.switch: size})
         for term, size in amplitudes.items()
@@ -126,11 +132,16 @@ def of_the_registries(kind) -> tuple[Solution, Solution]:
 
 
 @SIMULATORS
-@pytest.mark.parametrize("row", range(len(gels_of_the_registries())), ids=gels_of_the_registries())
+@pytest.mark.parametrize(
+    "row", range(len(gels_of_the_registries())), ids=gels_of_the_registries()
+)
 def test_that_every_law_is_the_same(kind, row):
     assert_equal(
         kind,
-        *(Solution(*(x[row] for x in vars(found).values())) for found in of_the_registries(kind)),
+        *(
+            Solution(*(x[row] for x in vars(found).values()))
+            for found in of_the_registries(kind)
+        ),
     )
 
 
@@ -179,7 +190,9 @@ def test_that_a_batch_of_all_materials_is_the_same_as_each_alone_bit_for_bit(kin
 @SIMULATORS
 def test_that_threads_change_no_bit(kind):
     gels = torch.stack([gel_of(model) for model in MATERIALS]).repeat(10, 1)
-    one, three = (kind(threads=threads)(gels, DESIGNS[1], TIMES).radius for threads in (1, 3))
+    one, three = (
+        kind(threads=threads)(gels, DESIGNS[1], TIMES).radius for threads in (1, 3)
+    )
     assert torch.equal(one, three)
 
 
@@ -198,7 +211,9 @@ def test_that_bundles_are_the_same_and_leaders_as_without_followers(kind, model)
     bundle = gel_of(model).repeat(2, 5, 1)
     bundle[:, 1:, PARAMETERS.index(["G"])] *= 1.0 + 1e-4 * arange(1, 5)[:, None]
     designs = DESIGNS[:, None]
-    engines = [kind(engine=engine, **coarse(kind)) for engine in ("compiled", "torchdiffeq")]
+    engines = [
+        kind(engine=engine, **coarse(kind)) for engine in ("compiled", "torchdiffeq")
+    ]
     ours, reference = (simulator.bundle(bundle, designs, TIMES) for simulator in engines)
     assert ours.ok.all()
     assert (ours.radius - reference.radius).abs().max() < SAME
@@ -229,7 +244,9 @@ def test_that_a_follower_is_the_same_in_a_bundle_of_any_size_bit_for_bit(kind):
         part = simulator.bundle(bundles[:, members], DESIGNS[0], TIMES)
         for name in ("radius", "velocity", "bubble_pressure"):
             assert torch.equal(getattr(part, name), getattr(whole, name)[:, members])
-    later = TIMES + 1e-3 * tensor(0.0, 0.0, 1.0)[:, None]  # the bubble of the first, made once
+    later = (
+        TIMES + 1e-3 * tensor(0.0, 0.0, 1.0)[:, None]
+    )  # the bubble of the first, made once
     twins = simulator.bundle(bundles[:, [0, 1, 0]], DESIGNS[0], later)
     alone = simulator.bundle(bundles[:, :2], DESIGNS[0], later[2])
     assert torch.equal(twins.radius[:, :2], whole.radius[:, :2])
@@ -326,9 +343,12 @@ def test_that_a_law_without_a_compiled_form_runs_on_tensors_and_is_named_once(ki
     assert (ours.radius - known.radius).abs().max() < SAME
 
 
-def test_that_a_law_without_a_compiled_form_is_no_obstacle_where_it_does_not_act(monkeypatch):
+def test_that_a_law_without_a_compiled_form_is_no_obstacle_where_it_does_not_act(
+    monkeypatch,
+):
     monkeypatch.setattr(
-        "imr_torch.simulate.bubbles.TERMS", [*TERMS, StressTerm(torch_only, switch="damage")]
+        "imr_torch.simulate.bubbles.TERMS",
+        [*TERMS, StressTerm(torch_only, switch="damage")],
     )
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -351,7 +371,10 @@ def test_that_float32_runs_on_tensors_and_says_why_and_that_it_is_short():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"engine": "fortran"}, "engine is 'fortran'; expected one of compiled, torchdiffeq"),
+        (
+            {"engine": "fortran"},
+            "engine is 'fortran'; expected one of compiled, torchdiffeq",
+        ),
         ({"threads": 0}, "threads is 0"),
     ],
 )
@@ -406,7 +429,9 @@ def test_that_it_is_said_when_an_engine_is_compiled(tmp_path, processes):
 
 
 def test_that_the_engine_that_another_process_compiled_is_used(processes):
-    ours = PolytropicSimulator(threads=1)(gel(G=4e3, mu=0.1), DESIGNS[0], grid(1.0, 11)).radius[-1]
+    ours = PolytropicSimulator(threads=1)(
+        gel(G=4e3, mu=0.1), DESIGNS[0], grid(1.0, 11)
+    ).radius[-1]
     theirs, said = in_a_process(processes, ONE_BUBBLE, {})
     assert float(theirs) == float(ours)
     assert "compil" not in said
@@ -414,7 +439,9 @@ def test_that_the_engine_that_another_process_compiled_is_used(processes):
 
 def test_that_damaged_code_is_compiled_anew(tmp_path, capsys):
     path = tmp_path / "engine.py"
-    path.write_text("import numba\n\n\n@numba.njit(cache=True)\ndef solve(x):\n    return x + 1\n")
+    path.write_text(
+        "import numba\n\n\n@numba.njit(cache=True)\ndef solve(x):\n    return x + 1\n"
+    )
 
     def called() -> tuple[int, bool]:
         """What the function of a module loaded anew returns, and whether it was compiled."""
@@ -451,9 +478,14 @@ def test_that_a_forked_process_has_threads_of_its_own():
     before = simulator(many, DESIGNS[:1], TIMES).radius  # makes the threads
     child = os.fork()
     if child == 0:
-        os._exit(0 if torch.equal(simulator(many, DESIGNS[:1], TIMES).radius, before) else 1)
+        os._exit(
+            0 if torch.equal(simulator(many, DESIGNS[:1], TIMES).radius, before) else 1
+        )
     deadline = time.monotonic() + 60.0
-    while (ended := os.waitpid(child, os.WNOHANG)) == (0, 0) and time.monotonic() < deadline:
+    while (ended := os.waitpid(child, os.WNOHANG)) == (
+        0,
+        0,
+    ) and time.monotonic() < deadline:
         time.sleep(0.05)
     if ended == (0, 0):
         os.kill(child, signal.SIGKILL)

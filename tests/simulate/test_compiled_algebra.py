@@ -26,6 +26,8 @@ def test_that_inverses_solutions_and_products_are_those_of_numpy(size):
     product = call_kernels(block, algebra.pad_matrix(matrix), vector, out)
     expected = vector @ matrix
     assert np.allclose(block[:, :size], np.linalg.inv(matrix), rtol=0.0, atol=1e-13)
-    assert np.allclose(block[:, width], np.linalg.solve(matrix, right), rtol=0.0, atol=1e-13)
+    assert np.allclose(
+        block[:, width], np.linalg.solve(matrix, right), rtol=0.0, atol=1e-13
+    )
     assert np.allclose(out[:size], expected, rtol=1e-13)
     assert product == pytest.approx(matrix[0] @ expected, rel=1e-13)

@@ -60,7 +60,9 @@ def test_that_a_table_is_met_at_its_samples_and_held_beyond_them():
     value, rate, bend = driving(tensor(-1e-5, -1.0, 6.1e-5, 1.0).reshape(2, 2))
     assert value.tolist() == [[0.0, 0.0], [pytest.approx(1e4)] * 2]
     assert rate.abs().sum() + bend.abs().sum() == 0.0
-    near = driving(tensor(1e-12, 6e-5 - 1e-12))[1]  # the spline joins the constants without a kink
+    near = driving(tensor(1e-12, 6e-5 - 1e-12))[
+        1
+    ]  # the spline joins the constants without a kink
     assert near.abs().max() < 1e-5 * 1e9
 
 
@@ -82,12 +84,18 @@ class Water:
             return self.rho * ((p + 304.913e6) / (self.p_inf + 304.913e6)) ** (1.0 / 7.15)
         if self.key == "noble_abel":
             b = 6.61e-4 * 997.0 / self.rho
-            free = (1.0 / self.rho - b) * ((self.p_inf + 702.8e6) / (p + 702.8e6)) ** (1.0 / 1.19)
+            free = (1.0 / self.rho - b) * ((self.p_inf + 702.8e6) / (p + 702.8e6)) ** (
+                1.0 / 1.19
+            )
             return 1.0 / (b + free)
         top = 0.9 / 0.921
 
         def excess(m: float) -> float:
-            return self.rho * self.c**2 * m * (1.0 + m) / (1.0 - 0.921 * m) ** 2 - p + self.p_inf
+            return (
+                self.rho * self.c**2 * m * (1.0 + m) / (1.0 - 0.921 * m) ** 2
+                - p
+                + self.p_inf
+            )
 
         return self.rho * (1.0 + brentq(excess, -0.3, top, xtol=1e-16, rtol=1e-14))
 
@@ -144,8 +152,12 @@ def driven_reference(
         r, u = y
         gas = p_rest * rest**3 * (r_max / r) ** (3.0 * kappa)
         wall = gas + vapour - 2.0 * s.surface_tension / r - 4.0 * mu * u / r
-        known = (-3.0 * kappa * gas + 2.0 * s.surface_tension / r) * u / r + 4.0 * mu * u**2 / r**2
-        push, push_rate, _ = (float(x) for x in driving(torch.tensor(t, dtype=torch.float64)))
+        known = (
+            -3.0 * kappa * gas + 2.0 * s.surface_tension / r
+        ) * u / r + 4.0 * mu * u**2 / r**2
+        push, push_rate, _ = (
+            float(x) for x in driving(torch.tensor(t, dtype=torch.float64))
+        )
         far = p_inf + push
         if key == "rayleigh_plesset":
             return [u, ((wall - far) / rho - 1.5 * u * u) / r]
@@ -171,7 +183,13 @@ def driven_reference(
 
     span = (0.0, float(times[-1]) * unit)
     result = solve_ivp(
-        rate, span, [r_max, 0.0], method="DOP853", t_eval=times * unit, rtol=1e-9, atol=1e-15
+        rate,
+        span,
+        [r_max, 0.0],
+        method="DOP853",
+        t_eval=times * unit,
+        rtol=1e-9,
+        atol=1e-15,
     )
     assert result.success
     return result.y[0] / r_max
@@ -182,21 +200,30 @@ def test_that_a_driven_bubble_is_scipys_in_every_radial_equation(motion):
     times = grid(1.6, 33)
     expected = driven_reference(SINE, motion, 300.0, 0.25, 0.02, times.numpy())
     conditions = Conditions(motion=motion, driving=SINE)
-    solution = PolytropicSimulator(conditions, FINE)(gel(mu=0.02), tensor(300.0, 0.25), times)
+    solution = PolytropicSimulator(conditions, FINE)(
+        gel(mu=0.02), tensor(300.0, 0.25), times
+    )
     assert_close(solution.radius, torch.tensor(expected), rtol=0.0, atol=2e-6)
 
 
 def isothermal(**options) -> Conditions:
     """Gas that conducts so well that it is polytropic with exponent 1, in both simulators."""
-    mixture = GasMixture(conductivity_slope=5.3e2, conductivity_offset=1.17e5, vapour="absent")
+    mixture = GasMixture(
+        conductivity_slope=5.3e2, conductivity_offset=1.17e5, vapour="absent"
+    )
     return Conditions(
-        gas=PolytropicGas(1.0, vapour=False), mixture=mixture, medium=Medium(warm=False), **options
+        gas=PolytropicGas(1.0, vapour=False),
+        mixture=mixture,
+        medium=Medium(warm=False),
+        **options,
     )
 
 
 @pytest.mark.parametrize("key", RADIAL_EQUATIONS)
 def test_that_both_simulators_are_driven_alike(key):
-    conditions = isothermal(motion=RADIAL_EQUATIONS[key], driving=SINE, initial_velocity=-1.5)
+    conditions = isothermal(
+        motion=RADIAL_EQUATIONS[key], driving=SINE, initial_velocity=-1.5
+    )
     arguments = gel(G=4e3, mu=0.1), tensor(300.0, 0.5), grid(1.5, 16)
     polytropic = PolytropicSimulator(conditions, FINE)(*arguments)
     transport = TransportSimulator(conditions, Accuracy(3e-5, Resolution(8, 4)))(*arguments)

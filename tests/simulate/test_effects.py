@@ -193,13 +193,17 @@ AS_CONDITIONS = {
     ),
     "a sine": (
         {"sound_field": 0.2, "sound_frequency": 1.3, "sound_phase": 0.6},
-        Conditions(driving=sine(0.2 * ATMOSPHERE, math.exp(1.3) / (2.0 * math.pi * SECOND), 0.6)),
+        Conditions(
+            driving=sine(0.2 * ATMOSPHERE, math.exp(1.3) / (2.0 * math.pi * SECOND), 0.6)
+        ),
     ),
     "a Gaussian pulse": (
         {"pulse": 0.5, "pulse_time": 0.6, "pulse_width": -1.5},
         Conditions(
             driving=sampled(
-                lambda t: 0.5 * ATMOSPHERE * np.exp(-(((t - 0.6 * SECOND) / PULSE_WIDTH) ** 2))
+                lambda t: (
+                    0.5 * ATMOSPHERE * np.exp(-(((t - 0.6 * SECOND) / PULSE_WIDTH) ** 2))
+                )
             )
         ),
     ),
@@ -208,7 +212,9 @@ AS_CONDITIONS = {
 
 @BOTH
 @for_each(("effect", "conditions"), AS_CONDITIONS)
-def test_that_an_effect_is_that_of_the_conditions_that_it_stands_for(kind, effect, conditions):
+def test_that_an_effect_is_that_of_the_conditions_that_it_stands_for(
+    kind, effect, conditions
+):
     error = 1e-12 if conditions.initial_velocity else 1e-9
     assert (radii(kind, **effect) - radii(kind, conditions)).abs().max() < error
 
@@ -235,7 +241,13 @@ def test_that_surface_tension_acts_in_its_own_term_and_not_in_the_gas():
 
     times = grid(1.5, 16)
     exact = solve_ivp(
-        rate, (0.0, 1.5), [1.0, 0.0], t_eval=times.numpy(), rtol=1e-11, atol=1e-13, method="DOP853"
+        rate,
+        (0.0, 1.5),
+        [1.0, 0.0],
+        t_eval=times.numpy(),
+        rtol=1e-11,
+        atol=1e-13,
+        method="DOP853",
     ).y[0]
     conditions = Conditions(gas=PolytropicGas(1.4, vapour=False), motion=RayleighPlesset())
     solution = PolytropicSimulator(conditions, FINE)(
@@ -272,7 +284,9 @@ def swing_about_rest(**effect: float) -> tuple[Tensor, float, Conditions]:
     """A small swing, 1 at first, at We 500; its stiffness without the effect, and the conditions."""
     rest = 1.0 - 1e-4
     stiffness = 3.0 * 1.4 * (1.0 + 1.0 / (500.0 * rest)) - 1.0 / (500.0 * rest)
-    conditions = Conditions(gas=PolytropicGas(1.4, "rest", vapour=False), motion=RayleighPlesset())
+    conditions = Conditions(
+        gas=PolytropicGas(1.4, "rest", vapour=False), motion=RayleighPlesset()
+    )
     radius = PolytropicSimulator(conditions, FINE)(
         gel(**effect), tensor(500.0, rest), grid(6.0)
     ).radius
@@ -319,7 +333,9 @@ def test_that_gas_is_lost_along_the_path_below_rest():
     conditions = Conditions(gas=PolytropicGas(1.4, vapour=False))
     eta = 0.4
     times = grid(1.5, 6001)
-    solution = PolytropicSimulator(conditions, FINE)(gel(**BASE, gas_loss=eta), DESIGN, times)
+    solution = PolytropicSimulator(conditions, FINE)(
+        gel(**BASE, gas_loss=eta), DESIGN, times
+    )
     amount = solution.bubble_pressure * solution.radius**4.2
     depth = 0.3 / float(solution.radius.min())
     path = math.log(depth) - 2.0 * (1.0 - 1.0 / depth) + 0.5 * (1.0 - 1.0 / depth**2)
@@ -386,11 +402,15 @@ def test_that_a_drift_of_r_inf_is_exponential_in_time_and_the_same_for_bubbles_o
     amount = solution.bubble_pressure * solution.radius**4.2
     outer = conditions.surroundings
     seconds = grid(1.5, 7) * outer.time_scale(outer.max_radius(designs[:, :1]))
-    assert_close(amount / amount[:, :1], torch.exp(3.0 * drift * seconds), rtol=1e-4, atol=0.0)
+    assert_close(
+        amount / amount[:, :1], torch.exp(3.0 * drift * seconds), rtol=1e-4, atol=0.0
+    )
 
 
 @BOTH
-def test_that_energy_lost_lowers_every_rebound_and_leaves_the_fall_to_rest_nearly_alone(kind):
+def test_that_energy_lost_lowers_every_rebound_and_leaves_the_fall_to_rest_nearly_alone(
+    kind,
+):
     gels = torch.stack([gel(**BASE, energy_loss=x) for x in (0.0, 0.3, 1.0)])
     radius = simulators()[kind](gels, DESIGN, grid(1.8, 181)).radius
     assert (radius[:, 110:].amax(1).diff() < -0.01).all()

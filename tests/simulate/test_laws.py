@@ -17,7 +17,9 @@ from tests.simulate.bubble import assert_that_rates_are_derivatives
 # ---------------------------------------------------------------- effects
 
 
-@pytest.mark.parametrize("name", [e.name for e in LIBRARY.values() if e.far_field is not None])
+@pytest.mark.parametrize(
+    "name", [e.name for e in LIBRARY.values() if e.far_field is not None]
+)
 def test_that_both_rates_of_a_far_field_are_those_of_its_pressure(name):
     effect = LIBRARY[name]
     time = linspace(0.0, 3.0, 61, requires_grad=True)

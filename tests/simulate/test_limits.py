@@ -35,7 +35,9 @@ VAPOUR = ("transported", "constant", "frozen", "absent")
 EVERY_GEL = torch.stack([gel_of(model) for model in MATERIALS])
 
 
-def closure(vapour: str, warm: bool, motion=RADIAL_EQUATIONS["keller_miksis"]) -> Conditions:
+def closure(
+    vapour: str, warm: bool, motion=RADIAL_EQUATIONS["keller_miksis"]
+) -> Conditions:
     gas = PolytropicGas(1.3, "rest", vapour != "absent")
     return Conditions(
         gas=gas, mixture=GasMixture(vapour=vapour), medium=Medium(warm=warm), motion=motion
@@ -122,13 +124,20 @@ def test_that_a_gel_with_memory_has_its_third_order_small_oscillation(key, sound
     start = np.array([1.0, 0.0, 0.0])
     if key in ("sls", "sns"):
         start[2] = (
-            -4.0 * values.get("G", values.get("G_lin", 0.0)) / outer.far_field_pressure / rest
+            -4.0
+            * values.get("G", values.get("G_lin", 0.0))
+            / outer.far_field_pressure
+            / rest
         )  # relaxed at the maximum
     t = grid(6.0, 61)
     x = torch.tensor([(expm(matrix * float(s)) @ start)[0] for s in t])
     assert np.iscomplex(np.linalg.eigvals(matrix)).any()
-    conditions = Conditions(outer, PolytropicGas(1.3, "rest", vapour=False), motion=KellerMiksis())
-    radius = PolytropicSimulator(conditions, FINE)(gel(**values), tensor(weber, rest), t).radius
+    conditions = Conditions(
+        outer, PolytropicGas(1.3, "rest", vapour=False), motion=KellerMiksis()
+    )
+    radius = PolytropicSimulator(conditions, FINE)(
+        gel(**values), tensor(weber, rest), t
+    ).radius
     torch.testing.assert_close((radius - rest) / (1.0 - rest), x, rtol=0.0, atol=2e-3)
 
 
@@ -173,7 +182,9 @@ def test_that_slow_relaxation_leaves_the_spring_alone():
 def test_that_full_retardation_is_no_memory():
     base = {"G": 6e3, "mu": 0.08}
     curves = radii(
-        base, base | {"tau": 1e-5, "retardation": 1.0}, base | {"tau_ucm": 1e-5, "retardation": 1.0}
+        base,
+        base | {"tau": 1e-5, "retardation": 1.0},
+        base | {"tau_ucm": 1e-5, "retardation": 1.0},
     )
     assert (curves - curves[0]).abs().max() < 1e-5
 
@@ -187,11 +198,15 @@ def test_that_energy_is_kept_when_the_heat_that_leaves_is_counted(vapour):
     tau'(1) R``.
     """
     conditions = Conditions(
-        mixture=GasMixture(vapour=vapour), medium=Medium(warm=False), motion=RayleighPlesset()
+        mixture=GasMixture(vapour=vapour),
+        medium=Medium(warm=False),
+        motion=RayleighPlesset(),
     )  # type: ignore[arg-type]
     parameters = gel(G=5e3)[None]
     designs = tensor(300.0, 0.45)[None]
-    equations = Equations(Bubbles.of(parameters, designs, conditions), *Resolution(12, 4).grids())
+    equations = Equations(
+        Bubbles.of(parameters, designs, conditions), *Resolution(12, 4).grids()
+    )
     field = TransportField(equations, tolerance=1e-6)
     ticks = arange(301)
     path = odeint(field, field.start(), ticks, method="euler")[:, :, 0]
@@ -205,7 +220,10 @@ def test_that_energy_is_kept_when_the_heat_that_leaves_is_counted(vapour):
     vapour_work = float(b.numbers.constant_vapour) * fields.radius**3 / 3.0
     stored = fields.pressure * fields.radius**3 / (3.0 * 0.4) - vapour_work
     spring = (
-        0.5 * float(b.theta["G"]) * 0.45**3 * (5.0 / 3.0 * l**3 - 2.0 * l**2 + l**-1 - 2.0 / 3.0)
+        0.5
+        * float(b.theta["G"])
+        * 0.45**3
+        * (5.0 / 3.0 * l**3 - 2.0 * l**2 + l**-1 - 2.0 / 3.0)
     )
     liquid = (
         0.5 * fields.radius**3 * fields.velocity**2
@@ -214,7 +232,10 @@ def test_that_energy_is_kept_when_the_heat_that_leaves_is_counted(vapour):
     )
     heat = float(b.numbers.chi) * fields.heat * fields.radius
     lost = -np.array(
-        [simpson(heat[: i + 1].numpy(), x=times[: i + 1].numpy()) for i in range(len(times))]
+        [
+            simpson(heat[: i + 1].numpy(), x=times[: i + 1].numpy())
+            for i in range(len(times))
+        ]
     )
     total = (stored + spring + liquid).numpy() + lost
     assert np.abs(total - total[0]).max() < 2e-5

@@ -6,7 +6,14 @@ from scipy.integrate import quad
 from torch import Tensor
 from torch.testing import assert_close
 
-from imr_torch.simulate import LIQUIDS, ConstantDensity, Liquid, MieGruneisen, NobleAbel, Tait
+from imr_torch.simulate import (
+    LIQUIDS,
+    ConstantDensity,
+    Liquid,
+    MieGruneisen,
+    NobleAbel,
+    Tait,
+)
 from tests.refusals import refusals
 from tests.simulate.bubble import tensor
 from tests.tables import for_each
@@ -53,7 +60,10 @@ def test_that_each_is_the_equation_of_state_that_is_named():
     tait = Tait()
     density = 1.0 / at(tait, p)[1]
     assert_close(
-        density**tait.exponent, (p + tait.stiffness) / (1.0 + tait.stiffness), rtol=1e-13, atol=0.0
+        density**tait.exponent,
+        (p + tait.stiffness) / (1.0 + tait.stiffness),
+        rtol=1e-13,
+        atol=0.0,
     )
     gas = NobleAbel()
     constant = (p + gas.stiffness) * (at(gas, p)[1] - gas.covolume) ** gas.exponent

@@ -49,7 +49,8 @@ def radii(kind: str, field: str, **conditions) -> tuple[Tensor, Tensor, Tensor]:
     design = torch.stack((there.weber(size), DESIGN[1]))
     times = TIMES * (ASSUMED.time_scale(size) / there.time_scale(size))
     here, moved = (
-        replace(SIMULATORS[kind], conditions=Conditions(s, **conditions)) for s in (ASSUMED, there)
+        replace(SIMULATORS[kind], conditions=Conditions(s, **conditions))
+        for s in (ASSUMED, there)
     )
     by_parameter = here(
         gel(**BASE, **{OF_MEDIUM[field]: math.log(FACTORS[field])}), DESIGN, TIMES
@@ -79,10 +80,14 @@ def test_that_the_parameter_is_the_medium_itself_to_solver_error(kind, field):
     assert (ours - before).abs().max() > 2e-3
 
 
-@pytest.mark.parametrize("motion", [KellerMiksis(), Gilmore()], ids=lambda motion: motion.key)
+@pytest.mark.parametrize(
+    "motion", [KellerMiksis(), Gilmore()], ids=lambda motion: motion.key
+)
 def test_that_density_is_exact_in_every_radial_equation_and_under_driving(motion):
     """A driving is in Pa and seconds, so it must reach a bubble that moves at another pace at the same moments."""
-    before, ours, there = radii("polytropic", "density", motion=motion, driving=sine(2e4, 3e4, 0.3))
+    before, ours, there = radii(
+        "polytropic", "density", motion=motion, driving=sine(2e4, 3e4, 0.3)
+    )
     assert (ours - there).abs().max() < 2e-6
     assert (ours - before).abs().max() > 0.05
 
@@ -96,8 +101,12 @@ def test_that_a_temperature_is_exact_for_polytropic_gas_and_nearly_so_with_trans
 
 
 def test_that_contents_at_rest_follow_the_medium_and_not_the_effect_of_the_same_name():
-    by_medium = SIMULATORS["polytropic"](gel(**BASE, medium_tension=0.5), DESIGN, TIMES).radius
-    by_effect = SIMULATORS["polytropic"](gel(**BASE, surface_tension=0.5), DESIGN, TIMES).radius
+    by_medium = SIMULATORS["polytropic"](
+        gel(**BASE, medium_tension=0.5), DESIGN, TIMES
+    ).radius
+    by_effect = SIMULATORS["polytropic"](
+        gel(**BASE, surface_tension=0.5), DESIGN, TIMES
+    ).radius
     assert (by_medium - by_effect).abs().max() > 1e-3
 
 

@@ -35,6 +35,8 @@ def test_odeint_gives_whole_states_that_lie_on_the_simulated_curves():
         radius = rows[moved, 0]
         log_pressure = rows[moved, 2]
         for engine in ("compiled", "torchdiffeq"):
-            simulated = TransportSimulator(engine=engine)(GELS[member], DESIGNS[member], time)
+            simulated = TransportSimulator(engine=engine)(
+                GELS[member], DESIGNS[member], time
+            )
             assert (radius - simulated.radius).abs().max() < 1e-9
             assert (log_pressure.exp() / simulated.bubble_pressure - 1.0).abs().max() < 1e-8

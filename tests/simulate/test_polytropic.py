@@ -97,12 +97,13 @@ def test_that_the_frames_asked_for_do_not_change_the_bubble(engine):
     sparse = grid(3.0, 7)
     dense = grid(3.0, 601)
     one, other = (
-        PolytropicSimulator(engine=engine)(gel(**GEL), AT, t).radius for t in (sparse, dense)
+        PolytropicSimulator(engine=engine)(gel(**GEL), AT, t).radius
+        for t in (sparse, dense)
     )
     assert_close(one, other[::100], rtol=0.0, atol=1e-13)
-    assert PolytropicSimulator(engine=engine)(gel(**GEL), AT, tensor(1.5)).radius == pytest.approx(
-        float(other[300])
-    )
+    assert PolytropicSimulator(engine=engine)(
+        gel(**GEL), AT, tensor(1.5)
+    ).radius == pytest.approx(float(other[300]))
 
 
 # ---------------------------------------------------------------- what comes out
@@ -156,7 +157,9 @@ def test_that_a_failing_member_is_named_and_its_neighbours_are_not_disturbed(eng
 
 @BOTH
 def test_that_running_out_of_steps_says_so_and_gives_what_was_reached(engine):
-    short = PolytropicSimulator(engine=engine, stepping=Stepping(0.1, max_steps=32, retries=0))
+    short = PolytropicSimulator(
+        engine=engine, stepping=Stepping(0.1, max_steps=32, retries=0)
+    )
     solution = short(gel(**GEL), AT, grid(10.0, 101))
     assert int(solution.status) == Status.TOO_MANY_STEPS
     assert "max_steps" in solution.summary()
@@ -197,8 +200,15 @@ def test_that_memory_that_fades_within_a_step_is_followed_at_the_limit_of_stabil
     engine, step, error
 ):
     """Steps that resolve such memory see the same bubbles, and none has to be tried again with half the step."""
-    springs = {"tau": {"G": 5e3}, "tau_ucm": {}, "tau_sns": {"G": 5e3}, "tau_sls": {"G_lin": 5e3}}
-    gels = torch.stack([gel(mu=0.1, **{name: 4e-7}, **spring) for name, spring in springs.items()])
+    springs = {
+        "tau": {"G": 5e3},
+        "tau_ucm": {},
+        "tau_sns": {"G": 5e3},
+        "tau_sls": {"G_lin": 5e3},
+    }
+    gels = torch.stack(
+        [gel(mu=0.1, **{name: 4e-7}, **spring) for name, spring in springs.items()]
+    )
     coarse, fine = (
         PolytropicSimulator(engine=chosen, stepping=stepping)(
             gels, tensor(400.0, 0.2), grid(1.5, 31)
@@ -274,7 +284,9 @@ def test_a_follower_that_needs_a_little_longer_than_its_leader_gets_there(engine
     alone = PolytropicSimulator(engine=engine)(gel, designs, times)
     enough = int(alone.steps[0])
     assert int(alone.steps[1]) > enough
-    hasty = PolytropicSimulator(engine=engine, stepping=replace(Stepping(), max_steps=enough))
+    hasty = PolytropicSimulator(
+        engine=engine, stepping=replace(Stepping(), max_steps=enough)
+    )
     made = hasty.bundle(gel, designs, times)
     assert made.ok.all()
     assert torch.equal(made.radius, alone.radius)

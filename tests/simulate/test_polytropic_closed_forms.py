@@ -33,15 +33,21 @@ def test_that_an_empty_bubble_collapses_in_rayleighs_time():
 
     Gas of 1e-9 p_inf turns the wall at R = 4e-5 Rmax, within 1e-9 of that time.
     """
-    rayleigh = math.sqrt(1.5) / 3.0 * math.gamma(5 / 6) * math.gamma(0.5) / math.gamma(4 / 3)
+    rayleigh = (
+        math.sqrt(1.5) / 3.0 * math.gamma(5 / 6) * math.gamma(0.5) / math.gamma(4 / 3)
+    )
     assert rayleigh == pytest.approx(0.914681, abs=1e-6)
     times = rayleigh + tensor(-1e-6, 1e-6)
-    solution = PolytropicSimulator(empty_bubble(5.0 / 3.0), FINE)(gel(), tensor(1e12, 1e-3), times)
+    solution = PolytropicSimulator(empty_bubble(5.0 / 3.0), FINE)(
+        gel(), tensor(1e12, 1e-3), times
+    )
     assert solution.velocity[0] < -1e3
     assert solution.velocity[1] > 1e3
 
 
-@pytest.mark.parametrize(("rest", "kappa"), [(0.1, 1.4), (0.1, 5.0 / 3.0), (0.02, 1.3), (0.3, 1.4)])
+@pytest.mark.parametrize(
+    ("rest", "kappa"), [(0.1, 1.4), (0.1, 5.0 / 3.0), (0.02, 1.3), (0.3, 1.4)]
+)
 def test_that_the_collapse_follows_from_the_energy_alone(rest, kappa):
     """Time and speed at radii on the way down, by quadrature of ``dR/|U|`` (substituting ``R = 1 - s^2``)."""
     gas = rest**3 * (1.0 + 1.0 / (1e12 * rest))
@@ -109,7 +115,9 @@ LINEAR = {
 
 
 @for_each(("conditions", "values", "weber"), LINEAR)
-def test_that_a_small_oscillation_has_the_linear_frequency_and_damping(conditions, values, weber):
+def test_that_a_small_oscillation_has_the_linear_frequency_and_damping(
+    conditions, values, weber
+):
     """``R = R_e + x``: ``R_e (1 + b/c) x'' + (b + R_e k/c) x' + k x = 0`` with ``k = (3 kappa p_g - 1/(We R_e) + 4/Ca)/R_e``
     and ``b = 4/(Re R_e)``; the error is of the order of the amplitude, 1e-4.
     """
@@ -126,6 +134,8 @@ def test_that_a_small_oscillation_has_the_linear_frequency_and_damping(condition
     decay = 0.5 * friction / mass
     omega = math.sqrt(k / mass - decay**2)
     t = grid(8.0, 161)
-    x = torch.exp(-decay * t) * (torch.cos(omega * t) + decay / omega * torch.sin(omega * t))
+    x = torch.exp(-decay * t) * (
+        torch.cos(omega * t) + decay / omega * torch.sin(omega * t)
+    )
     solution = PolytropicSimulator(conditions, FINE)(gel(**values), tensor(weber, rest), t)
     assert_close((solution.radius - rest) / (1.0 - rest), x, rtol=0.0, atol=2e-3)

@@ -7,7 +7,13 @@ from torch import Tensor
 from torch.testing import assert_close
 
 from imr_torch.files import read_json
-from imr_torch.simulate import STEPPINGS, Conditions, PolytropicGas, PolytropicSimulator, Stepping
+from imr_torch.simulate import (
+    STEPPINGS,
+    Conditions,
+    PolytropicGas,
+    PolytropicSimulator,
+    Stepping,
+)
 from imr_torch.units import Surroundings
 from tests.simulate.bubble import DESIGN, FINE, GEL, Reference, gel, grid, tensor
 from tests.tables import for_each
@@ -65,7 +71,10 @@ def test_that_named_steppings_are_ordered_by_their_error():
     ).radius
     errors = [
         float(
-            (PolytropicSimulator(stepping=STEPPINGS[k])(gel(**GEL), AT, grid()).radius - exact)
+            (
+                PolytropicSimulator(stepping=STEPPINGS[k])(gel(**GEL), AT, grid()).radius
+                - exact
+            )
             .abs()
             .max()
         )
@@ -146,8 +155,15 @@ def imrv2_setting(
     }
     values = {ours: c[theirs] or 0.0 for ours, theirs in names.items()}
     top = c["initial_radius_m"]
-    times = np.linspace(0.0, c["final_time_s"], c["number_of_times"]) / surroundings.time_scale(top)
-    return conditions, values, (surroundings.weber(top), c["equilibrium_radius_m"] / top), times
+    times = np.linspace(
+        0.0, c["final_time_s"], c["number_of_times"]
+    ) / surroundings.time_scale(top)
+    return (
+        conditions,
+        values,
+        (surroundings.weber(top), c["equilibrium_radius_m"] / top),
+        times,
+    )
 
 
 def relative(curve: np.ndarray, reference: np.ndarray) -> float:
@@ -160,7 +176,9 @@ def test_that_imrv2_curves_are_met_up_to_their_known_departure(imrv2):
     """
     _, cases, curves, ours = imrv2
     for case in cases:
-        recorded = case["tolerance"]["deviation_if_textbook_term"]["vapour_in_pressure_rate"]
+        recorded = case["tolerance"]["deviation_if_textbook_term"][
+            "vapour_in_pressure_rate"
+        ]
         assert relative(ours[case["id"]], curves[case["id"]]) == pytest.approx(
             recorded, rel=0.05
         ), case["id"]

@@ -79,7 +79,9 @@ def acceleration(motion: RadialEquation, wall: dict[str, Tensor]) -> Tensor:
     return motion.acceleration(*(wall[name] for name in STATE))
 
 
-def drive(motion: RadialEquation, wall: dict[str, Tensor]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def drive(
+    motion: RadialEquation, wall: dict[str, Tensor]
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """``h``, the part of ``dh/dt`` without ``U'``, the factor of ``U'`` in it, and ``1/c`` of the
     equation.
     """
@@ -102,7 +104,9 @@ def order_of(motion: RadialEquation, wall: dict[str, Tensor]) -> Tensor:
 @pytest.mark.parametrize("mirror", [False, True], ids=["alone", "mirrored"])
 def test_that_slopes_are_those_of_automatic_differentiation(motion, mirror):
     wall = states(mirror=mirror, beyond=0.4)
-    slopes = derivatives(motion.acceleration, tuple(wall[name] for name in STATE), analytic=True)
+    slopes = derivatives(
+        motion.acceleration, tuple(wall[name] for name in STATE), analytic=True
+    )
     for name, slope in zip(STATE, slopes, strict=True):
 
         def moved(value: Tensor, name: str = name) -> Tensor:
@@ -142,7 +146,9 @@ def test_that_all_equations_are_rayleigh_plesset_in_a_stiff_liquid(motion):
     errors = []
     for slowness in (1e-6, 5e-7):
         stiff = (
-            replace(motion, liquid=replace(motion.liquid, stiffness=1.0 / (7.15 * slowness**2)))
+            replace(
+                motion, liquid=replace(motion.liquid, stiffness=1.0 / (7.15 * slowness**2))
+            )
             if hasattr(motion.liquid, "stiffness")
             else motion
         )
@@ -196,8 +202,12 @@ def test_that_compressible_bubbles_lose_energy_and_an_incompressible_one_does_no
         peaks[key] = float(radius[300:].max())
     assert peaks["rayleigh_plesset"] == pytest.approx(1.0, abs=1e-4)
     assert 0.5 < peaks["keller_miksis"] < 0.98
-    assert peaks["keller_miksis_enthalpy"] == pytest.approx(peaks["keller_miksis"], abs=0.02)
-    assert peaks["herring"] < peaks["keller_miksis"] < peaks["second_order"] < peaks["gilmore"]
+    assert peaks["keller_miksis_enthalpy"] == pytest.approx(
+        peaks["keller_miksis"], abs=0.02
+    )
+    assert (
+        peaks["herring"] < peaks["keller_miksis"] < peaks["second_order"] < peaks["gilmore"]
+    )
     assert peaks["gilmore"] == pytest.approx(peaks["keller_miksis"], abs=0.1)
 
 
@@ -209,7 +219,9 @@ def test_that_compressible_bubbles_lose_energy_and_an_incompressible_one_does_no
         (TransportSimulator, "compiled"),
     ],
 )
-@pytest.mark.parametrize("motion", [KellerMiksis(), Herring(), Gilmore()], ids=lambda x: x.key)
+@pytest.mark.parametrize(
+    "motion", [KellerMiksis(), Herring(), Gilmore()], ids=lambda x: x.key
+)
 def test_that_a_wall_at_the_speed_of_sound_says_so_at_once(kind, engine, motion):
     """Its liquid is so slow that a bubble begins there; Rayleigh-Plesset and the second order have
     no such speed.

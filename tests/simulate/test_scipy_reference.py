@@ -42,14 +42,23 @@ def gel(name="qKV"):
             "BDF",
             1e-5,
         ),
-        ("standard linear solid", Conditions(mixture=GasMixture(vapour="constant")), "Radau", 1e-4),
+        (
+            "standard linear solid",
+            Conditions(mixture=GasMixture(vapour="constant")),
+            "Radau",
+            1e-4,
+        ),
     ],
     ids=["qKV, published", "NHKV, authors' code", "memory, constant vapour, Radau"],
 )
 def test_transport_agrees_with_the_toolkits_solver(name, conditions, method, rtol):
     ours = TransportSimulator(conditions, Accuracy(1e-6, FEW))(gel(name), DESIGN, TIMES)
     radius, velocity, pressure = solve_by_scipy(
-        (gel(name), DESIGN, TIMES), conditions=conditions, resolution=FEW, method=method, rtol=rtol
+        (gel(name), DESIGN, TIMES),
+        conditions=conditions,
+        resolution=FEW,
+        method=method,
+        rtol=rtol,
     )
     assert ours.ok.all()
     np.testing.assert_allclose(radius, ours.radius, rtol=0.0, atol=2e-4)
@@ -62,7 +71,9 @@ def test_the_finite_difference_grid_is_of_second_order_in_a_bubble():
     """Each doubling of the nodes brings the radius four times closer to that on a converged spectral grid."""
 
     def radius(resolution):
-        return TransportSimulator(accuracy=Accuracy(1e-5, resolution))(gel(), DESIGN, TIMES).radius
+        return TransportSimulator(accuracy=Accuracy(1e-5, resolution))(
+            gel(), DESIGN, TIMES
+        ).radius
 
     converged = radius(Resolution(20, 24))
     grids = [DifferenceResolution(n, n) for n in (16, 32, 64)]
@@ -79,4 +90,6 @@ def test_scipy_on_finite_differences_shares_neither_time_nor_space_with_the_defa
     radius, _, _ = solve_by_scipy(
         bubble, conditions=Conditions(), resolution=DifferenceResolution(24, 24)
     )
-    np.testing.assert_allclose(radius, TransportSimulator()(*bubble).radius, rtol=0.0, atol=5e-3)
+    np.testing.assert_allclose(
+        radius, TransportSimulator()(*bubble).radius, rtol=0.0, atol=5e-3
+    )

@@ -35,7 +35,9 @@ NAMES = ("G", "mu", "alpha", *DESIGN)
 SMALL = Resolution(12, 8)
 FINE = TransportSimulator(accuracy=Accuracy(1e-6, SMALL))
 FAST = TransportSimulator(accuracy=ACCURACIES["fast"])
-FEW = replace(FAST, terms=material("gen_qkv").terms)  # where all entries are moved, all laws act
+FEW = replace(
+    FAST, terms=material("gen_qkv").terms
+)  # where all entries are moved, all laws act
 SIMULATORS = [
     pytest.param(FAST, id="transport"),
     pytest.param(PolytropicSimulator(), id="polytropic"),
@@ -65,15 +67,21 @@ def relative(found: Tensor, expected: Tensor) -> float:
 def test_that_they_are_the_differences_of_separate_fine_solves(simulator):
     parameters, designs = draw_bubbles(1, 3)
     _, jacobian = sensitivities(simulator, parameters, designs, TIMES, names=NAMES)
-    size = torch.cat((parameters[0, PARAMETERS.index(NAMES[:3])], designs[0])).clamp_min(0.1)
-    sides = [joined(parameters, designs, side * 2e-4 * torch.diag(size)) for side in (1.0, -1.0)]
+    size = torch.cat((parameters[0, PARAMETERS.index(NAMES[:3])], designs[0])).clamp_min(
+        0.1
+    )
+    sides = [
+        joined(parameters, designs, side * 2e-4 * torch.diag(size)) for side in (1.0, -1.0)
+    ]
     up, down = (simulator(*side, TIMES).radius for side in sides)
     assert relative(jacobian[0], ((up - down) / (4e-4 * size[:, None])).mT) < 2e-3
 
 
 def test_that_the_default_accuracy_gives_them_to_two_percent():
     parameters, designs = draw_bubbles(6, 3)
-    _, jacobian = sensitivities(TransportSimulator(), parameters, designs, TIMES, names=NAMES)
+    _, jacobian = sensitivities(
+        TransportSimulator(), parameters, designs, TIMES, names=NAMES
+    )
     _, exact = sensitivities(
         TransportSimulator(accuracy=Accuracy(1e-6)), parameters, designs, TIMES, names=NAMES
     )
@@ -106,7 +114,9 @@ def test_that_the_leader_of_a_bundle_does_not_feel_its_followers(simulator):
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_that_they_do_not_depend_on_neighbours_blocks_or_the_other_columns(engine, monkeypatch):
+def test_that_they_do_not_depend_on_neighbours_blocks_or_the_other_columns(
+    engine, monkeypatch
+):
     parameters, designs = draw_bubbles(3, 3)
     simulator = replace(FAST, engine=engine)
     with monkeypatch.context() as patch:
@@ -163,7 +173,9 @@ def test_that_frames_before_the_maximum_are_as_smooth_as_the_others():
     ],
     ids=["no stiffening", "no spring", "no viscosity", "stiffest", "at rest"],
 )
-def test_that_an_entry_at_its_bound_is_differentiated_inwards(simulator, values, design, name):
+def test_that_an_entry_at_its_bound_is_differentiated_inwards(
+    simulator, values, design, name
+):
     """Against a difference of a thousand times the increment, inside the bounds."""
     parameters = PARAMETERS.pack(values)
     shot = torch.tensor(design, dtype=torch.float64)
@@ -174,7 +186,9 @@ def test_that_an_entry_at_its_bound_is_differentiated_inwards(simulator, values,
     sign = -1.0 if name == "rest_radius" or both[0, column] >= 1e7 else 1.0
     move = sign * 1e-4 * max(float(both[0, column]), 1e2 if name == "G" else 0.1)
     both[1, column] += move
-    radius = simulator.bundle(both[:, : len(PARAMETERS)], both[:, len(PARAMETERS) :], times).radius
+    radius = simulator.bundle(
+        both[:, : len(PARAMETERS)], both[:, len(PARAMETERS) :], times
+    ).radius
     assert solution.ok
     assert relative(jacobian, ((radius[1] - radius[0]) / move)[:, None]) < 0.02
 
@@ -322,4 +336,6 @@ def test_that_growth_is_said_from_its_limit_on_and_names_the_worst():
     said = explain_growth(simulator, *sharp, names, limit=0.99 * worst, change=1e-6)
     assert said.startswith(Status.ILL_CONDITIONED.sentence)
     assert said.endswith(Status.ILL_CONDITIONED.remedy)
-    assert f"A change of 1e-06 in {names[int(growth.argmax())]} grows by {worst:.2g}." in said
+    assert (
+        f"A change of 1e-06 in {names[int(growth.argmax())]} grows by {worst:.2g}." in said
+    )

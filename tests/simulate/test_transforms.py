@@ -22,7 +22,10 @@ from tests.tables import for_each
 TIMES = linspace(0.0, 2.0, 9)
 DESIGN = tensor([300.0, 0.2])
 GELS = torch.stack(
-    [PARAMETERS.pack({"G": g, "mu": m}) for g, m in ((5000.0, 0.1), (9000.0, 0.06), (3000.0, 0.2))]
+    [
+        PARAMETERS.pack({"G": g, "mu": m})
+        for g, m in ((5000.0, 0.1), (9000.0, 0.06), (3000.0, 0.2))
+    ]
 )
 FEW = material(
     "nhkv"
@@ -40,9 +43,9 @@ def test_that_vmap_is_a_batch_over_gels_designs_and_both(simulator):
     designs = torch.stack((DESIGN, 1.3 * DESIGN))
     by_gel = vmap(lambda gel: simulator(gel, DESIGN, TIMES).radius)(GELS)
     assert_close(by_gel, simulator(GELS, DESIGN, TIMES).radius, atol=1e-9, rtol=0.0)
-    both = vmap(lambda gel: vmap(lambda design: simulator(gel, design, TIMES).radius)(designs))(
-        GELS
-    )
+    both = vmap(
+        lambda gel: vmap(lambda design: simulator(gel, design, TIMES).radius)(designs)
+    )(GELS)
     assert both.shape == (3, 2, 9)
     assert_close(both, simulator(GELS[:, None], designs, TIMES).radius, atol=1e-9, rtol=0.0)
 
@@ -55,7 +58,9 @@ def test_that_forward_and_reverse_jacobians_are_the_sensitivities(simulator):
     reverse = jacrev(lambda gel: simulator(gel, DESIGN, TIMES).radius)(GELS[0])[:, entries]
     assert_close(forward, slopes, rtol=1e-8, atol=1e-6 * float(slopes.abs().amax()))
     assert_close(reverse, slopes, rtol=1e-8, atol=1e-6 * float(slopes.abs().amax()))
-    _, by_design = sensitivities(simulator, GELS[0], DESIGN, TIMES, names=["weber", "rest_radius"])
+    _, by_design = sensitivities(
+        simulator, GELS[0], DESIGN, TIMES, names=["weber", "rest_radius"]
+    )
     found = jacfwd(lambda design: simulator(GELS[0], design, TIMES).radius)(DESIGN)
     assert_close(found, by_design, rtol=1e-8, atol=1e-6 * float(by_design.abs().amax()))
 
@@ -70,9 +75,13 @@ def test_that_second_derivatives_are_refused_and_not_wrong():
         lambda: jacrev(grad(total))(GELS[0]),
         lambda: jacfwd(jacfwd(total))(GELS[0]),
         lambda: hessian(total)(GELS[0]),
-        lambda: jacfwd(lambda gel: jacrev(lambda design: total(gel, design))(DESIGN))(GELS[0]),
+        lambda: jacfwd(lambda gel: jacrev(lambda design: total(gel, design))(DESIGN))(
+            GELS[0]
+        ),
         lambda: grad(total)(GELS[0].clone().requires_grad_()),
     ):
         with refused("Second derivatives of a bubble cannot be taken", UnsupportedError):
             twice()
-    assert torch.equal(grad(total)(GELS[0].clone().requires_grad_().detach()), grad(total)(GELS[0]))
+    assert torch.equal(
+        grad(total)(GELS[0].clone().requires_grad_().detach()), grad(total)(GELS[0])
+    )

@@ -41,7 +41,9 @@ def test_a_member_does_not_depend_on_its_neighbours_or_on_the_blocks(engine, mon
     parameters, designs = draw_bubbles(5, 11)
     simulator = TransportSimulator(engine=engine)
     times = TIMES[:16]
-    alone = torch.stack([simulator(parameters[i], designs[i], times).radius for i in (0, 4)])
+    alone = torch.stack(
+        [simulator(parameters[i], designs[i], times).radius for i in (0, 4)]
+    )
     monkeypatch.setattr(TransportSimulator, "members", 3)
     together = simulator(parameters, designs, times)
     assert (together.radius[[0, 4]] - alone).abs().max() < 1e-9
@@ -108,7 +110,9 @@ def air(equations, state):
     vapour = torch.cat((at.wall.vapour[None], state[HEAD + n : HEAD + 2 * n]))
     mixture = torch.cat((at.wall.mixture[None], f.node.mixture))
     temperature = torch.cat((at.wall.temperature[None], f.node.temperature))
-    density = ((1.0 - vapour) * at.pressure / (mixture * temperature) * at.radius**3)[:, 0].numpy()
+    density = ((1.0 - vapour) * at.pressure / (mixture * temperature) * at.radius**3)[
+        :, 0
+    ].numpy()
     return float(quadrature @ density)
 
 
@@ -117,7 +121,9 @@ def air(equations, state):
 )
 def test_perfect_and_absent_conduction_are_the_polytropic_limits(factor, exponent):
     mixture = GasMixture(
-        conductivity_slope=5.3e-5 * factor, conductivity_offset=1.17e-2 * factor, vapour="absent"
+        conductivity_slope=5.3e-5 * factor,
+        conductivity_offset=1.17e-2 * factor,
+        vapour="absent",
     )
     gas = PolytropicGas(exponent, vapour=False)
     conditions = Conditions(gas=gas, mixture=mixture, medium=Medium(warm=False))
@@ -146,13 +152,18 @@ def test_a_wide_box_of_gels_and_designs_is_solved():
     high = torch.tensor([2000.0, 0.5, 3e5, 1.0, 0.3])
     box = low + (high - low) * rand(40, 5, generator=random)
     parameters = PARAMETERS.pack({"G": box[:, 2], "mu": box[:, 3], "alpha": box[:, 4]})
-    solution = TransportSimulator(accuracy=ACCURACIES["fast"])(parameters, box[:, :2], TIMES)
+    solution = TransportSimulator(accuracy=ACCURACIES["fast"])(
+        parameters, box[:, :2], TIMES
+    )
     assert solution.ok.all(), solution.summary()
     assert torch.isfinite(solution.radius).all()
 
 
 test_bad_input_is_refused_with_advice = refusals(
-    (lambda: GasMixture(vapour="wet"), "expected one of transported, constant, frozen, absent"),
+    (
+        lambda: GasMixture(vapour="wet"),
+        "expected one of transported, constant, frozen, absent",
+    ),
     (lambda: GasMixture(heat_ratio=1.0), "expected above 1"),
     (lambda: GasMixture(diffusivity=-1.0), "GasMixture.diffusivity is -1.0"),
     (lambda: Medium(heat_capacity=math.nan), "Medium.heat_capacity is nan"),

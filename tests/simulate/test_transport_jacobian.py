@@ -27,7 +27,11 @@ def gels(**columns):
     return PARAMETERS.pack({name: tensor(values) for name, values in columns.items()})
 
 
-PLAIN = {"G": (2770.0, 8310.0, 1000.0), "mu": (0.186, 0.09, 0.02), "alpha": (0.48, 0.0, 1.0)}
+PLAIN = {
+    "G": (2770.0, 8310.0, 1000.0),
+    "mu": (0.186, 0.09, 0.02),
+    "alpha": (0.48, 0.0, 1.0),
+}
 PARAMETER_ROWS = gels(**PLAIN)
 DESIGNS = tensor([[550.0, 0.22], [900.0, 0.14], [120.0, 0.3]])
 REMEMBERING = {
@@ -115,12 +119,16 @@ def assert_jacobian_is_automatic(equations, vapour=True):
 )
 @for_each("conditions", CLOSURES)
 def test_the_jacobian_is_that_of_automatic_differentiation(conditions, resolution):
-    equations = Equations(Bubbles.of(PARAMETER_ROWS, DESIGNS, conditions), *resolution.grids())
+    equations = Equations(
+        Bubbles.of(PARAMETER_ROWS, DESIGNS, conditions), *resolution.grids()
+    )
     assert_jacobian_is_automatic(equations, conditions.mixture.vapour == "transported")
 
 
 def few_equations(columns, conditions) -> Equations:
-    return Equations(Bubbles.of(gels(**columns), DESIGNS, conditions), *Resolution(4, 4).grids())
+    return Equations(
+        Bubbles.of(gels(**columns), DESIGNS, conditions), *Resolution(4, 4).grids()
+    )
 
 
 @for_each("motion", RADIAL_EQUATIONS)

@@ -65,10 +65,14 @@ def test_the_adapter_gives_the_converged_curve(cases, oracle):
 def test_on_the_published_grid_the_published_code_is_reproduced(cases, shared):
     curves = np.load(shared / "reference" / "authors_code_public.npz")
     times = curves["t_81"][:41]
-    radius = adapter.radius({**cases[2], "preset": "authors_code", "grid": "authors_240"}, times)
+    radius = adapter.radius(
+        {**cases[2], "preset": "authors_code", "grid": "authors_240"}, times
+    )
     assert np.abs(radius - curves["R_81"][2, :41]).max() < 1e-4
 
 
 def test_the_adapter_refuses_models_that_the_toolkit_does_not_have(cases):
     with refused("not in the registry", UnsupportedError):
-        adapter.radius({**cases[0], "equivalent_model": "unheard_of"}, np.linspace(0.0, 1.0, 5))
+        adapter.radius(
+            {**cases[0], "equivalent_model": "unheard_of"}, np.linspace(0.0, 1.0, 5)
+        )

@@ -29,7 +29,9 @@ def test_that_an_interface_resists_by_four_times_its_viscosity_and_velocity_over
 
 def test_that_two_times_that_are_one_are_one():
     """The library's fluid of Maxwell, each arm holding half of its stress."""
-    one = maxwell(RADIUS, VELOCITY, REST, tensor(0.7), tensor(0.1), tensor(0.3), tensor(0.0))
+    one = maxwell(
+        RADIUS, VELOCITY, REST, tensor(0.7), tensor(0.1), tensor(0.3), tensor(0.0)
+    )
     half = tensor(0.35)
     two = closures.two_times(
         RADIUS, VELOCITY, REST, half, half, tensor(0.1), tensor(0.3), tensor(0.3)

@@ -37,7 +37,9 @@ def test_that_every_requirement_of_the_package_is_pinned():
     ]
     pinned = pins(CONSTRAINTS.read_text())
     assert [
-        line for line in asked if line.partition(">=")[0].partition("<")[0].lower() not in pinned
+        line
+        for line in asked
+        if line.partition(">=")[0].partition("<")[0].lower() not in pinned
     ] == []
 
 
@@ -45,5 +47,6 @@ def test_that_the_versions_are_those_that_the_package_names():
     named = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert named["requires-python"] == f">={PYTHONS[0]}"
     assert [
-        f"Programming Language :: Python :: {number}" in named["classifiers"] for number in PYTHONS
+        f"Programming Language :: Python :: {number}" in named["classifiers"]
+        for number in PYTHONS
     ] == [True] * len(PYTHONS)

@@ -25,7 +25,9 @@ def write(rows, folder) -> tuple[str, dict[str, bytes]]:
     return page.read_text(), {path.name: path.read_bytes() for path in figures.iterdir()}
 
 
-def test_that_the_page_is_that_of_the_record_and_figures_are_the_same_when_made_again(tmp_path):
+def test_that_the_page_is_that_of_the_record_and_figures_are_the_same_when_made_again(
+    tmp_path,
+):
     page, figures = write(ROWS, tmp_path)
     assert page == (ROOT / "benchmarks" / "REAL_GELS.md").read_text()
     assert {path.name for path in KEPT.iterdir()} == figures.keys()
@@ -36,7 +38,9 @@ def test_that_the_page_is_that_of_the_record_and_figures_are_the_same_when_made_
 def test_that_what_may_be_quoted_follows_the_verdict(tmp_path):
     row = next(row for row in ROWS if row["key"] == "pa_stiff_estrada/diagnose")
     nothing, _ = write([row], tmp_path)
-    assert "Nothing can be quoted, since no cause is named: with what it may lack G" in nothing
+    assert (
+        "Nothing can be quoted, since no cause is named: with what it may lack G" in nothing
+    )
     named = {"cause": ["wall"], "parameters": {"G": [2e3, 3e3, 4e3], "mu": [1, 2, 3]}}
     page, _ = write([row | named], tmp_path / "named")
     low, _, high = row["parameters_with_model_error"]["G"]

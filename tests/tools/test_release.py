@@ -38,7 +38,9 @@ def test_that_a_draft_needs_no_heading_and_the_citation_all_the_same():
 
 
 def test_that_the_citation_of_this_checkout_is_of_its_version():
-    assert disagreements(version(), (ROOT / "CITATION.cff").read_text(), "", draft=True) == []
+    assert (
+        disagreements(version(), (ROOT / "CITATION.cff").read_text(), "", draft=True) == []
+    )
 
 
 def test_that_a_file_that_an_archive_lacks_is_named():

@@ -104,7 +104,9 @@ def test_that_the_true_pressure_is_inside_its_band(truth, least):
         for gel in (PARAMETERS.pack(GEL | truth), fitted):
             theta = dimensionless(gel, size, surroundings)
             terms = [term for term in TERMS if not term.states and theta[term.switch]]
-            response, _ = gel_response(terms, bubble.radius, bubble.velocity, design[1], theta)
+            response, _ = gel_response(
+                terms, bubble.radius, bubble.velocity, design[1], theta
+            )
             stress.append(response.value)
         true = surroundings.far_field_pressure * (stress[0] - stress[1])
         # away from collapses, where a pressure is shorter than a pulse
@@ -146,8 +148,12 @@ def test_that_a_pressure_of_each_shots_own_is_no_stress():
     shots = []
     for number, design in enumerate(DESIGNS):
         pulse = {"pulse": 0.08, "pulse_time": 0.5 + 0.9 * number, "pulse_width": -1.6}
-        shots += shoot(pulse, (design,), repeats=10, seed=number, nuisance=UNSURE).experiments
-    batch = replace(shoot({}, DESIGNS, repeats=10, nuisance=UNSURE), experiments=tuple(shots))
+        shots += shoot(
+            pulse, (design,), repeats=10, seed=number, nuisance=UNSURE
+        ).experiments
+    batch = replace(
+        shoot({}, DESIGNS, repeats=10, nuisance=UNSURE), experiments=tuple(shots)
+    )
     found = infer_unknown(fit(batch), batch, SIMULATOR)
     assert found.explained > 10.0
     assert found.kind == "drive"
@@ -155,7 +161,9 @@ def test_that_a_pressure_of_each_shots_own_is_no_stress():
 
 def test_that_a_bubble_that_fails_has_no_answer():
     batch = shoot({}, DESIGNS[:1], repeats=3)
-    short = PolytropicSimulator(stepping=replace(SIMULATOR.stepping, max_steps=5, retries=0))
+    short = PolytropicSimulator(
+        stepping=replace(SIMULATOR.stepping, max_steps=5, retries=0)
+    )
     assert infer_unknown(fit(batch), batch, short) is None
 
 

@@ -22,7 +22,14 @@ _typed_intrinsic: Any = intrinsic  # takes the first argument away
 
 @_typed_intrinsic
 def call_law(
-    typing: Any, law: Any, point: Any, rest: Any, theta: Any, memory: Any, rates: Any, first: Any
+    typing: Any,
+    law: Any,
+    point: Any,
+    rest: Any,
+    theta: Any,
+    memory: Any,
+    rates: Any,
+    first: Any,
 ) -> Any:
     """Value, rate and acceleration of a ``law`` (addresses for real and for complex numbers), whose memory begins at
     ``first``.
@@ -91,4 +98,6 @@ def compile_call(call: Law) -> list[Any]:
     """A function of the signature above for real and for complex numbers."""
     theta = types.CPointer(types.float64)
     numbers = [types.CPointer(kind) for kind in (types.float64, types.complex128)]
-    return [compile_pointer(call, types.void(x, types.float64, theta, x, x, x)) for x in numbers]
+    return [
+        compile_pointer(call, types.void(x, types.float64, theta, x, x, x)) for x in numbers
+    ]

@@ -105,7 +105,8 @@ def sum_eight(typing: Any, value: Any) -> Any:
 
     def lower_sum(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         places = [
-            builder.extract_element(args[0], ir.Constant(ir.IntType(32), i)) for i in range(WIDTH)
+            builder.extract_element(args[0], ir.Constant(ir.IntType(32), i))
+            for i in range(WIDTH)
         ]
         while len(places) > 1:
             half = len(places) // 2
@@ -161,7 +162,9 @@ def invert_matrix(a):
                 factor = row[k]
                 for j in range(0, a.shape[1], WIDTH):
                     store_eight(
-                        row, j, load_eight(row, j) - spread_number(factor) * load_eight(pivots, j)
+                        row,
+                        j,
+                        load_eight(row, j) - spread_number(factor) * load_eight(pivots, j),
                     )
                 row[k] = -factor * scale
         pivots[k] = scale

@@ -236,7 +236,11 @@ def _write_effects(effects: Sequence[Effect]) -> str:
     """The laws of effects, each kind put together."""
     functions = []
     for kind, (arguments, nothing, operator) in _EFFECTS.items():
-        lines = ["@kernel", f"def {kind}({arguments}, on, theta):", f"    total = {nothing}"]
+        lines = [
+            "@kernel",
+            f"def {kind}({arguments}, on, theta):",
+            f"    total = {nothing}",
+        ]
         for i, effect in enumerate(effects):
             if getattr(effect, kind) is None:
                 continue

@@ -39,7 +39,9 @@ def fill_curves(nodes, begin, times, curves):
     force = (before[ACCELERATION], after[ACCELERATION])
     while begin < len(times) and times[begin] <= after[TIME]:
         share = (times[begin] - before[TIME]) / step
-        curves[0, begin], curves[1, begin] = hermite_quintic(share, step, radius, velocity, force)
+        curves[0, begin], curves[1, begin] = hermite_quintic(
+            share, step, radius, velocity, force
+        )
         begin += 1
     return begin
 

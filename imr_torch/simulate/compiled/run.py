@@ -50,7 +50,9 @@ def registry_of(conditions: Conditions) -> Registry:
     return Registry(
         terms=COMMON,
         effects=tuple(
-            e for e in LIBRARY.values() if e.compilable and (e.gas_loss or e.vapour or e.far_field)
+            e
+            for e in LIBRARY.values()
+            if e.compilable and (e.gas_loss or e.vapour or e.far_field)
         ),
         radial=type(motion).law,
         liquid=type(motion.liquid).law,
@@ -95,7 +97,9 @@ def solve_polytropic(
     attempts = np.array([(step, memory_share(step)) for step in steps])
     settings = (attempts, stepping.max_steps)
     work = (polytropic.work_for,)
-    return _solve_bundles("solve_polytropic", bubbles, times, width, settings, work, threads)
+    return _solve_bundles(
+        "solve_polytropic", bubbles, times, width, settings, work, threads
+    )
 
 
 @functools.lru_cache(maxsize=64)
@@ -148,7 +152,9 @@ def _solve_bundles(
         terms=acts,
         memory=_memory_of(bubbles, terms, acts.repeat(width, 0)),
         fading=bubbles.fastest_relaxation().numpy(),
-        effects=_acting_parts(theta[:, of_effects], registry.effects, bubbles.effects, width),
+        effects=_acting_parts(
+            theta[:, of_effects], registry.effects, bubbles.effects, width
+        ),
         times=times.contiguous().numpy(),
         curves=np.empty((3, *times.shape)),
         status=np.empty(count, np.int64),
@@ -161,7 +167,9 @@ def _solve_bundles(
         bundles = np.flatnonzero(states == number)
         sizes = (*work, int(number), width)
         _share_out(module, entry, bundles, (batch, settings), sizes, threads or cores())
-    every = (torch.from_numpy(x).repeat_interleave(width) for x in (batch.status, batch.steps))
+    every = (
+        torch.from_numpy(x).repeat_interleave(width) for x in (batch.status, batch.steps)
+    )
     return *torch.from_numpy(batch.curves).unbind(0), *every
 
 
@@ -184,7 +192,9 @@ def locate_law(term: StressTerm) -> tuple[int, int, int]:
     return real, imaginary, term.states
 
 
-def _memory_of(bubbles: Bubbles, terms: Sequence[StressTerm], acts: np.ndarray) -> np.ndarray:
+def _memory_of(
+    bubbles: Bubbles, terms: Sequence[StressTerm], acts: np.ndarray
+) -> np.ndarray:
     """What each member's memory starts from, in the order of its terms that act (``members x
     terms``).
     """

@@ -306,9 +306,12 @@ def field_slopes(point, space, work, member):
         s = node_slopes(node, point, b, c)
         for k in range(6):
             factors[k, i] = s[k]
-        heat_wall = s.heat_second * space.inside[0, bends + i] + s.heat_first * space.inside[0, i]
+        heat_wall = (
+            s.heat_second * space.inside[0, bends + i] + s.heat_first * space.inside[0, i]
+        )
         vapour_wall = (
-            s.vapour_second * space.inside[0, bends + i] + s.vapour_first * space.inside[0, i]
+            s.vapour_second * space.inside[0, bends + i]
+            + s.vapour_first * space.inside[0, i]
         )
         by_pressure = s.vapour_pressure + vapour_wall * wall.vapour_pressure
         by_heat[0, i], by_vapour[0, i] = s.heat_radius, s.vapour_radius
@@ -317,7 +320,9 @@ def field_slopes(point, space, work, member):
         by_vapour[2, i] = pressure * (by_pressure + log_rate * s.vapour_rate)
         by_heat[3, i], by_vapour[3, i] = pressure * s.heat_rate, pressure * s.vapour_rate
         by_heat[4, i] = heat_wall
-        by_vapour[4, i] = vapour_wall * wall.vapour_heat + s.coupling_slope * space.inside[0, i]
+        by_vapour[4, i] = (
+            vapour_wall * wall.vapour_heat + s.coupling_slope * space.inside[0, i]
+        )
         work.coupling[0, i], work.coupling[1, i] = s.coupling, s.coupling_slope
     for i in range(m):
         g = gel_slopes(gel_node_at(i, space, work), point, b, c)
@@ -325,7 +330,11 @@ def field_slopes(point, space, work, member):
         through = (
             g.second * space.outside[0, outer_bends + i] + g.first * space.outside[0, i]
         ) / wall.conductivity
-        by_gel[0, i], by_gel[1, i], by_gel[2, i] = g.radius, g.velocity, pressure * g.pressure
+        by_gel[0, i], by_gel[1, i], by_gel[2, i] = (
+            g.radius,
+            g.velocity,
+            pressure * g.pressure,
+        )
         by_gel[4, i] = g.wall + through
 
 
@@ -457,7 +466,12 @@ def _fill_border(shift, work):
     states = len(columns) - BORDER
     columns[:] = 0.0
     columns[0, 0], columns[1, 0] = shift, -1.0
-    columns[0, 1], columns[1, 1], columns[2, 1], columns[3, 1] = -s[0], shift - s[1], -s[2], -s[3]
+    columns[0, 1], columns[1, 1], columns[2, 1], columns[3, 1] = (
+        -s[0],
+        shift - s[1],
+        -s[2],
+        -s[3],
+    )
     columns[2, 2], columns[3, 2] = shift, -1.0
     for k in range(BORDER):
         for row in range(2):

@@ -135,9 +135,21 @@ def solve_block(which, batch, settings, work):
                 member = member_of(batch, i)
                 if recorded[k] < count:  # a state at which no step was tried yet
                     log_rate = linearise_state(state[k], clock[k], space, work, member)
-                    node = (clock[k], state[k, 0], state[k, 1], work.rate[1], state[k, 2], log_rate)
+                    node = (
+                        clock[k],
+                        state[k, 0],
+                        state[k, 1],
+                        work.rate[1],
+                        state[k, 2],
+                        log_rate,
+                    )
                     filled[k] = record_node(
-                        node, work.nodes[k], filled[k], recorded[k] > 0, times[i], curves[:, i]
+                        node,
+                        work.nodes[k],
+                        filled[k],
+                        recorded[k] > 0,
+                        times[i],
+                        curves[:, i],
                     )
                     recorded[k] = count
                 if ended != -1:

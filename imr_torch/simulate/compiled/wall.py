@@ -116,7 +116,9 @@ def member_of(batch, i):
         affected |= acts
     numbers = laws.numbers(batch.numbers[i])
     terms = batch.terms[bundle]
-    return Member(numbers, batch.theta[i], terms, batch.memory[i], effects, affected, batch.setup)
+    return Member(
+        numbers, batch.theta[i], terms, batch.memory[i], effects, affected, batch.setup
+    )
 
 
 @kernel
@@ -160,7 +162,14 @@ def stress_of(radius, velocity, memory, memory_rates, member):
     """The gel's stress; writes the rates of memory."""
     b, on, theta = member.b, member.terms, member.theta
     return laws.stress(
-        radius, velocity, b.rest_radius, on, theta, memory, memory_rates, member.setup.others
+        radius,
+        velocity,
+        b.rest_radius,
+        on,
+        theta,
+        memory,
+        memory_rates,
+        member.setup.others,
     )
 
 
