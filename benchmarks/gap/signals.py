@@ -22,9 +22,8 @@ from imr_torch.simulate import Simulator
 
 Vector = NDArray[np.float64]
 
-_NUDGE = (
-    1e-4  # relative step of G and mu, and step of all others in prior sd, for their slopes
-)
+# relative step of G and mu, and step of all others in prior sd, for their slopes
+_NUDGE = 1e-4
 _FARTHEST = 3.0  # move of the log of G and mu, which the first frames alone do not hold
 _UNLIKELY = 6.0  # prior standard deviations that the parameters of a rival may reach
 _EVALUATIONS = 60

@@ -166,9 +166,8 @@ class Run(threading.Thread):
                 messages.append(text)
         status = self._process.wait()
         if self._stopping and status not in (0, 2, STOPPED):
-            status = (
-                STOPPED  # stopped before Python could answer, or killed since it did not
-            )
+            # stopped before Python could answer, or killed since it did not
+            status = STOPPED
             messages.clear()
         (self.result.folder / "messages.txt").write_text(
             "\n".join(messages), encoding="utf-8"

@@ -27,9 +27,8 @@ EXPLAINS = 3.0
 """Nats that an effect must explain to count as more than nothing."""
 GEL_SCATTER = "gel_scatter"
 """Name of the hypothesis that the gel differs between experiments."""
-_GEL_APART = (
-    0.25  # prior standard deviations between the starts of a fit that frees no effect
-)
+# prior standard deviations between the starts of a fit that frees no effect
+_GEL_APART = 0.25
 
 
 @dataclass(frozen=True)

@@ -66,9 +66,8 @@ _MISNAMED = 0.2
 # probability of an unknown effect where the test finds no gap: that before the data, which is cautious
 # (with the power of the tests it would be .26 to .44 for three designs x ten repeats)
 _HIDES = 0.5
-_GENERIC = (
-    30.0  # standard deviations that a stress law or pulse of usual size changes the data by
-)
+# standard deviations that a stress law or pulse of usual size changes the data by
+_GENERIC = 30.0
 _ALIKE = 0.5  # share of the unknown whose gel is that beside a known effect
 # values of what the nearest hypothesis leaves that are independent of one another, since it is smooth:
 # with 12 to 80 of them the same intervals hold the truth of effects that were withheld

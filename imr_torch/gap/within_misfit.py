@@ -34,9 +34,8 @@ AGAIN = 0.2
 _AHEAD = 8
 # p-value below which the verdict was "other" in 13 of 13 measured sets
 _LARGE_GAP = 1e-6
-_SIFTED = (
-    5  # starts of an effect; minima that noise of this size leaves are of about one depth
-)
+# starts of an effect; minima that noise of this size leaves are of about one depth
+_SIFTED = 5
 _NOISE_ROUNDS = 2  # times that the noise is inferred about a fit, and the fit made with it
 
 

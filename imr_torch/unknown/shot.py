@@ -32,9 +32,8 @@ and their pressures by .1 and .4 standard deviations (median)."""
 USUAL_SIZE = 200e-6
 """Rmax in m to which sizes are referred."""
 
-_STEP = (
-    1e-4  # pressure over p_inf at which responses are taken, in bubbles of the same steps
-)
+# pressure over p_inf at which responses are taken, in bubbles of the same steps
+_STEP = 1e-4
 _FINE = 0.0025  # spacing of a trajectory in t*, finer than a collapse lasts
 _OVERLAP = math.sqrt(math.pi)  # sum of unit pulses whose spacing is their width
 

@@ -24,9 +24,8 @@ Array = NDArray[np.float64]
 
 _WALL = 3  # row of tau_w in the state with transport
 _ITERATIONS = 50
-_INCREMENT = (
-    1e-7  # for the slope of the wall's balance, whose error only slows Newton's method
-)
+# for the slope of the wall's balance, whose error only slows Newton's method
+_INCREMENT = 1e-7
 _SETTLED = 1e-13
 
 
