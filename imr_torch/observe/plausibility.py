@@ -9,7 +9,7 @@ are refused; unusual ones are reported, since a diameter taken for a radius look
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -46,6 +46,7 @@ class Limits:
         weber: We.
         rest_radius: R_inf/Rmax.
         first_collapse: t* of the first collapse.
+        collapse_after_cut: earliest usual one of a record that begins after its maximum.
         largest_radius: R/Rmax of the largest frame.
         scatter: of neighbouring frames, of the range of all radii; noise alone has .25 and more.
         stated_over_seen: stated maximum radius over that of the frames.
@@ -65,6 +66,7 @@ class Limits:
     weber: Range = Range((1.0, 1e5), (20.0, 3000.0))
     rest_radius: Range = Range((0.02, 0.95), (0.07, 0.65))
     first_collapse: Range = Range((0.25, 3.0), (0.55, 1.4))
+    collapse_after_cut: float = 0.7
     largest_radius: Range = Range((0.7, 1.1), (0.85, 1.05))
     scatter: Range = Range((0.0, 0.25), (0.0, 0.15))
     stated_over_seen: Range = Range((0.75, 1.35), (0.95, 1.1))
@@ -82,7 +84,12 @@ LIMITS = Limits()
 
 
 def check_experiment(
-    experiment: Experiment, where: str, *, first: float | None = None, remedy: str = ""
+    experiment: Experiment,
+    where: str,
+    *,
+    first: float | None = None,
+    cut: bool = False,
+    remedy: str = "",
 ) -> tuple[str, ...]:
     """Refuse an experiment that cannot be one of a bubble, and say what is unusual about one that
     can.
@@ -92,6 +99,7 @@ def check_experiment(
         where: file and name, for messages.
         first: t* of its first collapse, infinite where there is none; that of :func:`collapse_time`
             when not given.
+        cut: whether the record begins after its maximum, which brings collapses forward.
         remedy: what else may be wrong than the units of radius and time.
 
     Returns:
@@ -129,13 +137,11 @@ def check_experiment(
     ]
     if first < math.inf:
         cavity = f"that of an empty cavity in water at {RAYLEIGH_TIME}, in a gel of 70 kPa at 0.55"
-        found.append(
-            (
-                LIMITS.first_collapse,
-                first,
-                f"the first collapse is at t* = {{:.3g}} ({cavity})",
-            )
-        )
+        text = f"the first collapse is at t* = {{:.3g}} ({cavity})"
+        limits = LIMITS.first_collapse
+        if cut:
+            limits = replace(limits, usual=(LIMITS.collapse_after_cut, limits.usual[1]))
+        found.append((limits, first, text))
     cautions = []
     for limits, value, text in found:
         what = f"{where}: {text.format(value)}"

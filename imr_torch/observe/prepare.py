@@ -136,7 +136,11 @@ def prepare(
                 trace, marks, outer, rest_radius=rest_radius, growth=growth
             )
             first = _first_collapse(whole, marks, outer)
-            cautions += check_experiment(whole, trace.where, first=first)
+            cut = marks.max_method == "edge"
+            remedy = "and that the record begins at its maximum radius" if cut else ""
+            cautions += check_experiment(
+                whole, trace.where, first=first, cut=cut, remedy=remedy
+            )
             window = _cut_window(trace, whole, marks, outer, collapses)
         experiments.append(window)
         frames[name] = (
