@@ -177,9 +177,8 @@ def _estimate_gain(
     slopes = torch.autograd.functional.jacobian(mean_gains, weights)
     influence = []
     for place, order in enumerate(order for sample in samples for order in sample.orders):
-        first = int(
-            contrastive and place >= models
-        )  # a datum's own gel is in the place of this one
+        # a datum's own gel is in the place of this one
+        first = int(contrastive and place >= models)
         own = slopes[place].mT[first:]
         found = zeros(len(order), 2)
         found[order[first : first + len(own)]] = mean_deviations(len(own) * own)

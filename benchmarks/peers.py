@@ -310,9 +310,8 @@ def compare_trajectories(peer: Peer) -> list[dict[str, Any]]:
         ),
         "Gilmore, Mie-Gruneisen": (Gilmore(steep), 6, outer),
     }
-    fine = Stepping(
-        0.03, max_steps=10**5
-    )  # by tensors: the peer's forms need not be compiled
+    # by tensors: the peer's forms need not be compiled
+    fine = Stepping(0.03, max_steps=10**5)
     rows = []
     for name, (motion, radial, speed) in cases.items():
         beside = replace(OUTER, sound_speed=speed)

@@ -200,9 +200,8 @@ def probability_errors(prior: Belief, evidence: Sequence[Evidence]) -> dict[str,
     after = torch.softmax(prior.log_probabilities + values[:, 0], dim=0)
     slopes = after[:, None] * (eye(len(after)) - after)
     errors = (slopes.square() @ values[:, 1].square()).sqrt()
-    errors = errors.minimum(
-        after.maximum(1.0 - after)
-    )  # a probability cannot be farther off
+    # a probability cannot be farther off
+    errors = errors.minimum(after.maximum(1.0 - after))
     return dict(zip(prior.keys, errors.tolist(), strict=True))
 
 

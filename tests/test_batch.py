@@ -293,9 +293,8 @@ ROWS = (
 
 def test_that_the_page_has_a_line_a_shot_and_a_plot_a_parameter():
     text = document_page(header("batch") | BatchSummary(ROWS).to_dict())
-    assert (
-        text.partition("<details>")[0].count("<tr") == 4
-    )  # two tables of a head and a row
+    # two tables of a head and a row
+    assert text.partition("<details>")[0].count("<tr") == 4
     assert text.count("data:image/png;base64,") == 2
     assert "a&lt;b" in text
     assert "no &lt;bubble&gt;" in text

@@ -60,9 +60,8 @@ def test_that_a_file_adds_a_format_that_commands_and_folders_know(
     (shots / "notes").write_text("of the day")
     command = f"characterize {shots} --physics polytropic --models nhkv".split()
     assert "the folder holds no file of curves" in said_by(command, 2)
-    assert (
-        main([*command, "--import", str(code)]) == 2
-    )  # a curve that only grows is refused
+    # a curve that only grows is refused
+    assert main([*command, "--import", str(code)]) == 2
     printed = capsys.readouterr()
     assert "gel: 12 frames over 11 us, largest radius 161 um" in printed.out
     assert "no such file" not in printed.err

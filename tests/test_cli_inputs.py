@@ -27,9 +27,8 @@ def test_that_a_known_parameter_is_not_inferred():
     assert part.names == ("G",)
     assert part.known == {"mu": 0.1}
     assert Belief.from_dict(Belief((part,), zeros(1)).to_dict())["nhkv"].names == ("G",)
-    both = wide_prior(
-        ["nhkv", "qkv"], known={"G": 2770.0}
-    )  # of qKV alone, which takes it as measured
+    # of qKV alone, which takes it as measured
+    both = wide_prior(["nhkv", "qkv"], known={"G": 2770.0})
     assert both["nhkv"].names == ("G", "mu")
     assert both["qkv"].known == {"G": 2770.0}
 
@@ -137,9 +136,8 @@ def test_that_a_target_that_cannot_be_written_is_refused(
     tmp_path, monkeypatch, target, message
 ):
     """By every command: tests/bad_input/test_command_line.py."""
-    monkeypatch.setattr(
-        os, "access", lambda path, mode: False
-    )  # as root, permissions do not bind
+    # as root, permissions do not bind
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
     with refused(message):
         check_target(tmp_path / target, "--json")
 

@@ -63,9 +63,8 @@ def test_that_a_stated_density_gives_the_gel_and_another_one_is_inferred(
     assert "density was assumed 1060 +- 30 kg/m^3 and is" in said
     assumed = read_json(result)
     first = "Not stated, and inferred with the gel from a wide prior: density (1060 +- 30 kg/m^3)"
-    assert (
-        document_report(assumed).splitlines()[1].startswith(first)
-    )  # polytropic is said before
+    # polytropic is said before
+    assert document_report(assumed).splitlines()[1].startswith(first)
     assert first in page.read_text()
     assert assumed["medium"]["density"]["stated"] is False
     assert "density" not in [found["name"] for found in assumed["medium_sensitivities"]]

@@ -78,9 +78,8 @@ def test_that_models_count_by_their_probabilities():
                 {"prior": prior.to_dict(), "belief": belief.to_dict(), "models": models}
             )
         )
-    overlap = -0.5 * math.log(
-        0.01 * (2 - 0.01)
-    )  # of one control, sd .1 in both, 1 in the prior
+    # of one control, sd .1 in both, 1 in the prior
+    overlap = -0.5 * math.log(0.01 * (2 - 0.01))
     expected = math.log(
         0.9 * 0.9 / 0.5 * math.exp(2 * overlap) + 0.1 * 0.1 / 0.5 * math.exp(overlap)
     )

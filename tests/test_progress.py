@@ -55,9 +55,8 @@ def test_that_stage_step_and_time_left_are_said():
         == "characterize, stage 2 of 6, 0:20, 10 %, about 3:02 left: fit with the estimated noise (round 1 of 2), iteration 2"
     )
     clock.now = 25.0
-    assert (
-        "about 2:57 left" in made.describe_state()
-    )  # less, though nothing was counted meanwhile
+    # less, though nothing was counted meanwhile
+    assert "about 2:57 left" in made.describe_state()
     clock.now = 60.0  # longer than planned: the stages that follow will be too
     assert "about 4:37 left" in made.describe_state()
     made(stage("noise", "noise 0.06 x the published law"))
@@ -104,9 +103,8 @@ def test_that_more_selections_than_were_expected_take_more_time_and_less_are_don
     assert (
         "0:40, 37 %, about 1:08 left: causes, first cause, 16 of" in made.describe_state()
     )
-    within(made, 0.5, 1.0, name="second cause", size=2.0)(
-        search
-    )  # the first one and a half
+    # the first one and a half
+    within(made, 0.5, 1.0, name="second cause", size=2.0)(search)
     assert "0:40, 60 %, about 0:26 left: causes, second cause" in made.describe_state()
     within(made, 0.2, 0.4, size=5.0)(search)  # what is done stays done
     assert "0:40, 29 %, about 1:40 left" in made.describe_state()

@@ -97,9 +97,8 @@ def test_that_tensors_have_the_shapes_of_their_annotations(checked):
     failed = re.findall(
         r"^(?:FAILED|ERROR) \S*?((?:::)?[^/\s]+)(?:\s|$)", checked, re.MULTILINE
     )
-    assert failed == ["::test_that_does_not_fit"], checked[
-        -8000:
-    ]  # of a file outside of the project
+    # of a file outside of the project
+    assert failed == ["::test_that_does_not_fit"], checked[-8000:]
     assert int(re.findall(r"(\d+) passed", checked)[-1]) > 450
 
 

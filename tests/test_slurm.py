@@ -51,6 +51,5 @@ def test_that_the_job_script_fits_every_shot_on_the_workers(tmp_path):
     assert job.returncode == 0, job.stderr
     assert "1 shot(s): 1 done" in job.stdout
     shot = tmp_path / "results" / "shots" / "example_gel.json"
-    assert (
-        SavedCharacterization.load(shot).intervals()["G"][0] < 12e3
-    )  # a polytropic bubble is biased: no more is asked of it
+    # a polytropic bubble is biased: no more is asked of it
+    assert SavedCharacterization.load(shot).intervals()["G"][0] < 12e3

@@ -200,9 +200,8 @@ def measure_rivals(line: Line, physics: str) -> dict[str, tuple[float, float]]:
     more = {
         name: beside_rival(gel, truth, LIBRARY[name], many, simulator) for name in nearest
     }
-    return {
-        name: (min(left[name], more[name]), more[name]) for name in nearest
-    }  # fewer designs cannot leave more
+    # fewer designs cannot leave more
+    return {name: (min(left[name], more[name]), more[name]) for name in nearest}
 
 
 def _spread_designs() -> torch.Tensor:

@@ -199,9 +199,8 @@ def _draw_line(key: str, value: float | None) -> Document:
     label: Document = {"text": name, "font": {"size": 11, "color": colour}}
     if key.endswith("_s"):
         place = {"x0": at, "x1": at, "y0": 0, "y1": 1, "yref": "paper"}
-        side = (
-            "left" if key == "t_Rmax_s" else "right"
-        )  # towards the frames between the two
+        # towards the frames between the two
+        side = "left" if key == "t_Rmax_s" else "right"
         # at different ends, since they may be close to one another on a narrow screen
         end = "start" if key == "t_Rmax_s" else "end"
         label |= {"textangle": 0, "textposition": end, "xanchor": side}

@@ -259,9 +259,10 @@ def _predict_moved(posterior: Posterior, point: Point, reach: Tensor) -> Tensor:
         times=times,
         bundled=True,
     )
+    # M x (1 + S') x E x P x T
     seen = seen.gather(-1, order.argsort(1).expand(seen.shape)).unflatten(
         -1, (len(reach), -1)
-    )  # M x (1 + S') x E x P x T
+    )
     seen = torch.where(batch.mask[:, None], seen, 0.0).movedim(-2, 1)
     rows = [0] + [
         1 + columns.index(column) if column in columns else 0 for column in uncertain

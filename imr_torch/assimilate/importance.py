@@ -43,9 +43,10 @@ def smooth_tail(
         The smoothed weights, and ``k``: infinite where too few weights count for a tail to be
         fitted.
     """
+    # here: where xarray is installed too, it takes a second to import
     from arviz_stats.base.array import (
         array_stats,
-    )  # here: where xarray is installed too, it takes a second to import
+    )
 
     possible = torch.nonzero(torch.isfinite(log_weights))[:, 0]
     some = log_weights[possible]
@@ -53,17 +54,15 @@ def smooth_tail(
         return log_weights, math.inf
     if some.amax() - some.amin() < 1e-9:
         return log_weights, 0.0
-    floor = (
-        some.amax() - 600.0
-    )  # what is smaller is nothing beside the largest, and would underflow in the fit
+    # what is smaller is nothing beside the largest, and would underflow in the fit
+    floor = some.amax() - 600.0
     with np.errstate(
         all="ignore"
     ):  # a tail that underflows gives NaN, which is dealt with below
         smoothed, shape = array_stats.psislw(-some.clamp_min(floor).numpy())
     least = int(some.argmin())
-    values = (
-        torch.as_tensor(smoothed) - smoothed[least] + some[least].clamp_min(floor)
-    )  # undo its normalisation
+    # undo its normalisation
+    values = torch.as_tensor(smoothed) - smoothed[least] + some[least].clamp_min(floor)
     shape = float(shape)
     if not math.isfinite(shape) or not torch.isfinite(values).all():
         return log_weights, math.inf

@@ -81,9 +81,8 @@ def _filter_curves(
         variance, rate = smooth[law], rates[law]
         bent = variance * rate**2  # of the process's derivative
         for curve in range(noise.shape[1]):
-            state = np.zeros(
-                (count, 2)
-            )  # value and derivative, as the frames before predict them
+            # value and derivative, as the frames before predict them
+            state = np.zeros((count, 2))
             p00, p01, p11 = variance, 0.0, bent
             total_log = 0.0
             for frame in range(noise.shape[2]):

@@ -73,9 +73,8 @@ def smooth_deviations(
     noise = (batch.sd(near.centre).square() / batch.counts)[used]
     columns = near.jacobian[:, used].mT
     observed = (batch.mean - near.centre)[used] + columns @ near.coordinates
-    explained = columns @ columns.mT + torch.diag(
-        noise
-    )  # by gel and nuisances, and single frames
+    # by gel and nuisances, and single frames
+    explained = columns @ columns.mT + torch.diag(noise)
     same = (shot[:, None] == shot).to(noise)
 
     def evidence_of(amount: float, duration: float, share: float) -> Tensor:

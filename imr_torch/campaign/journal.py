@@ -114,9 +114,8 @@ class Journal:
         if tail:
             with suppress(InputDataError):  # an append that was cut off
                 self._accept_line(tail)
-                self._kept = (
-                    len(self._known) + 1
-                )  # nothing but the end of the line is missing
+                # nothing but the end of the line is missing
+                self._kept = len(self._known) + 1
 
     def _accept_line(self, line: bytes) -> None:
         """Add the event of a line, once it is known to be what was written there."""

@@ -295,9 +295,8 @@ def characterize_shot(traces: TraceSet | None, options: BatchOptions) -> Documen
                 len(experiment.times) for experiment in result.experiments
             ),
         }
-        json.dumps(
-            document, allow_nan=False
-        )  # what cannot be written is an error of this shot
+        # what cannot be written is an error of this shot
+        json.dumps(document, allow_nan=False)
         return document
     except ImrError as error:
         others = "" if traces is None or len(traces) == 1 else _TOGETHER.format(len(traces))

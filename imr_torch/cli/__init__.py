@@ -74,9 +74,8 @@ def main(argv: Sequence[str] | None = None, *, events: bool = False) -> int:
     """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(
-                errors="backslashreplace"
-            )  # names of experiments on a terminal that lacks their letters
+            # names of experiments on a terminal that lacks their letters
+            stream.reconfigure(errors="backslashreplace")
     try:
         args = build_parser().parse_args(argv)
         args.argv = list(sys.argv[1:] if argv is None else argv)
@@ -85,15 +84,14 @@ def main(argv: Sequence[str] | None = None, *, events: bool = False) -> int:
         )
         _check_targets(args)
         with args.terminal, warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore", ConvergenceWarning
-            )  # the certificate is printed with the result
+            # the certificate is printed with the result
+            warnings.simplefilter("ignore", ConvergenceWarning)
+            # of a dependency
             warnings.filterwarnings(
                 "ignore", "`torch.jit.script` is deprecated", FutureWarning
-            )  # of a dependency
-            warnings.filterwarnings(
-                "ignore", "A not p.d., added jitter", RuntimeWarning
-            )  # of a search's surrogate
+            )
+            # of a search's surrogate
+            warnings.filterwarnings("ignore", "A not p.d., added jitter", RuntimeWarning)
             _run_named(args)
         sys.stdout.flush()
     except PackageNotFoundError as error:

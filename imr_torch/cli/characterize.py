@@ -139,9 +139,8 @@ def _load_data(args: Namespace) -> tuple[TraceSet, tuple[CollapseShot, ...]]:
     wanted = args.experiments or [*traces.ids, *known]
     if args.exclude:
         gone = [*known, *(x.experiment_id for x in traces.left_out)]
-        traces.select(
-            [name for name in args.exclude if name not in gone]
-        )  # which must be there
+        # which must be there
+        traces.select([name for name in args.exclude if name not in gone])
         wanted = [name for name in wanted if name not in args.exclude]
         args.given["experiments"] = ",".join(wanted)  # what a diagnosis is to take
     of_curves = [name for name in wanted if name not in known]

@@ -202,9 +202,8 @@ def simulate_response(
         Point(controls, forward.mean_nuisances(len(controls))), moves_gel=gel
     )
     by_gel, by_nuisance = forward.slopes(seen)
-    good = (
-        torch.isfinite(seen).flatten(1).all(1)[:, None, None]
-    )  # of the gel and of all beside it
+    # of the gel and of all beside it
+    good = torch.isfinite(seen).flatten(1).all(1)[:, None, None]
     slopes = by_gel if gel else by_gel[..., :0]
     return Response(
         controls,

@@ -241,8 +241,7 @@ def _search_one(
     optimizer, common = _tell_gains(untold, designs, gains, pending)
     best = optimizer.recommend()
     cost = float(optimizer.space.cost(best.design[None]))
-    sd = math.sqrt(
-        (cost * best.sd) ** 2 + common
-    )  # with the part that is common to all gains
+    # with the part that is common to all gains
+    sd = math.sqrt((cost * best.sd) ** 2 + common)
     best = replace(best, mean=cost * best.mean, sd=sd)
     return DesignSearch(best, designs, tuple(gains), optimizer)

@@ -129,9 +129,8 @@ def refitted_directions(
     left = line.project_out(rows).norm(dim=1)
     farthest = full((line.fitted.shape[1],), _FARTHEST_NUISANCE)
     farthest[: len(fit.mean)] = _FARTHEST_GEL
-    under_way = torch.nonzero(left > 0.0)[
-        :, 0
-    ]  # a start that failed would only fail again, slowly
+    # a start that failed would only fail again, slowly
+    under_way = torch.nonzero(left > 0.0)[:, 0]
     for _ in range(_ROUNDS):
         shift = rows[under_way] @ line.to_shift.mT
         near = (shift.abs() <= farthest).all(1)

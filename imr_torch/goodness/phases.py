@@ -60,9 +60,8 @@ def _read_clock(times: Tensor, radius: Tensor, mask: Tensor) -> Tensor:
     top = float(t[later][r[later].argmax()]) if later.any() else 2.0 * first
     second = 2.0 * top - first if math.isinf(second) else second
     knots = (0.0, first, top, second, second + (second - first))
-    clock = make_interp_spline(
-        knots, (0.0, 1.0, 1.5, 2.0, 3.0), k=1
-    )  # extrapolates the last piece
+    # extrapolates the last piece
+    clock = make_interp_spline(knots, (0.0, 1.0, 1.5, 2.0, 3.0), k=1)
     return torch.from_numpy(clock(times.numpy()))
 
 

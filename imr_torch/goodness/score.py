@@ -375,9 +375,8 @@ def _bias_beyond_noise(line: Linearisation) -> tuple[float, float]:
     own = noise_shares([batch.whiten(residual, line.sd).square()], phase) * (
         1.0 - line.fitted.shape[1] / len(line.residual)
     )
-    own = torch.where(
-        batch.mask, own / batch.counts.clamp_min(1.0), 0.0
-    )  # variance of the mean, less what the fit absorbs
+    # variance of the mean, less what the fit absorbs
+    own = torch.where(batch.mask, own / batch.counts.clamp_min(1.0), 0.0)
     excess = ((residual / line.sd).square() - own).sum() / frames
     radius = (residual.square() - own * line.sd.square()).sum() / frames
     return float(excess.clamp_min(0.0).sqrt()), float(radius.clamp_min(0.0).sqrt())

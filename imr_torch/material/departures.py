@@ -138,9 +138,8 @@ def graded(
     cube = stretch * stretch * stretch
     root = (stretch + 1.0) / (2.0 * square * (square + stretch + 1.0))
     q = root * root * (2.0 * square + 1.0)
-    slope = (
-        inverse * (1.0 + inverse * inverse * inverse) - 3.0 * cube * q
-    )  # of (l^3 - 1) q in ln l
+    # of (l^3 - 1) q in ln l
+    slope = inverse * (1.0 + inverse * inverse * inverse) - 3.0 * cube * q
     scale = -2.0 * G * graded_modulus
     return scale * (cube - 1.0) * q, scale * slope * velocity / radius, 0.0
 

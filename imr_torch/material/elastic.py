@@ -47,9 +47,8 @@ def stiffening(
     value = scale * (
         8.85 - stretch + x * (x3 * (x * (0.4 + 0.25 * x3) - 1.5) + 2.0 * x - 6.0)
     )
-    slope = scale * (
-        -2.0 * x * (x3 * (x + x2 * x2 - 3.0) + 2.0 * x - 3.0) - stretch
-    )  # dS/d ln l
+    # dS/d ln l
+    slope = scale * (-2.0 * x * (x3 * (x + x2 * x2 - 3.0) + 2.0 * x - 3.0) - stretch)
     return value, slope * velocity / radius, 0.0
 
 

@@ -278,9 +278,8 @@ class Quantile:
     def to_physical(self, z: Values) -> Values:
         """See :class:`Marginal`."""
         z = z.clamp(-self.FAR, self.FAR)
-        slope = (
-            self.log_slope(z.detach()).exp().nan_to_num(posinf=0.0)
-        )  # a value that rounds to a bound
+        # a value that rounds to a bound
+        slope = self.log_slope(z.detach()).exp().nan_to_num(posinf=0.0)
         return self._find_quantile(z.detach()) + slope * (z - z.detach())
 
     def to_control(self, value: Values) -> Values:

@@ -137,11 +137,13 @@ def check_experiment(
     ]
     if first < math.inf:
         cavity = f"that of an empty cavity in water at {RAYLEIGH_TIME}, in a gel of 70 kPa at 0.55"
-        text = f"the first collapse is at t* = {{:.3g}} ({cavity})"
-        limits = LIMITS.first_collapse
+        collapses = LIMITS.first_collapse
         if cut:
-            limits = replace(limits, usual=(LIMITS.collapse_after_cut, limits.usual[1]))
-        found.append((limits, first, text))
+            usual = (LIMITS.collapse_after_cut, collapses.usual[1])
+            collapses = replace(collapses, usual=usual)
+        found.append(
+            (collapses, first, f"the first collapse is at t* = {{:.3g}} ({cavity})")
+        )
     cautions = []
     for limits, value, text in found:
         what = f"{where}: {text.format(value)}"

@@ -73,9 +73,8 @@ class GaussianShots:
         root = scatter[:, None, :]
         inner = eye(A.shape[-1]) + root[..., :, None] * A * root[..., None, :]
         chol = torch.linalg.cholesky(inner)  # n x E x d x d
-        factor = (
-            root[..., :, None] * torch.linalg.inv(chol).mT
-        )  # of the covariance of a shot given the centre
+        # of the covariance of a shot given the centre
+        factor = root[..., :, None] * torch.linalg.inv(chol).mT
         covariance = factor @ factor.mT
         moved = (covariance @ b[..., None])[..., 0]
         constant = self.constant - half_log_det(chol) + 0.5 * (b * moved).sum(-1)

@@ -182,9 +182,8 @@ def _with_odd(shots: list[ShotRecord], options: RecordOptions) -> list[ShotRecor
         values = record.first(name)
         if name == "viscosity":
             scatter *= float(np.nanmedian(np.abs(values)))
-            values[np.isnan(record.first("skewness"))] = (
-                np.nan
-            )  # the collapse says little of it
+            # the collapse says little of it
+            values[np.isnan(record.first("skewness"))] = np.nan
         chances[name] = odd_probabilities(
             values, record.first(f"{name}_sd"), sizes, options, scatter=scatter
         )

@@ -170,9 +170,8 @@ class Numbers(NamedTuple):
         at_rest = setting.ambient + setting.resting / rest
         warm = setting.temperature
         lightness = setting.pace**2
-        amount = setting.gas * (
-            1.0 + setting.warmth
-        )  # times the temperature: what the pressure is proportional to
+        # times the temperature: what the pressure is proportional to
+        amount = setting.gas * (1.0 + setting.warmth)
         beside = setting.saturation if gas.vapour else nothing
         inside = nothing if kind == "absent" else setting.saturation
         capacity = 1.0 if medium.capacity_of == "gas_wall" else medium.heat_capacity

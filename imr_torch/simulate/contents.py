@@ -321,9 +321,10 @@ def node_rates(node: Node, at: Point, b: Numbers, c: Constants) -> tuple[Scalar,
     """``tau_t`` and ``C_t``."""
     square = 1.0 / (at.radius * at.radius)
     share = 1.0 - 1.0 / c.heat_ratio
+    # (v - y U)/R
     drift = b.chi_gas * share * square / at.pressure * node.heat - node.y * (
         at.rate / (3.0 * c.heat_ratio * at.pressure) + at.velocity / at.radius
-    )  # (v - y U)/R
+    )
     product = node.conductivity * node.temperature
     capacity = product * (share / at.pressure)
     mixing = node.vapour * (c.vapour_constant - c.air_constant) / node.mixture
@@ -450,9 +451,8 @@ def gel_slopes(node: GelNode, at: Point, b: Numbers, c: Constants) -> GelSlopes:
     inverse = 1.0 / at.radius
     strain = at.velocity * inverse
     second = b.foh / at.wall.capacity * inverse * inverse
-    heat = (
-        b.heating / at.wall.capacity * strain * inverse * node.shear
-    )  # viscous heating over U
+    # viscous heating over U
+    heat = b.heating / at.wall.capacity * strain * inverse * node.shear
     conduction = second * node.bend
     advection = node.stretching * node.slope * inverse
     thinned = (

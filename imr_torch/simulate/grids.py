@@ -131,10 +131,11 @@ def _map_outside(xi: Tensor, slope: Tensor, curvature: Tensor, reach: float) -> 
     slope = slope[keep, keep]
     curvature = curvature[keep, keep]
     y = 1.0 + reach * (1.0 - xi) / (1.0 + xi)
+    # d xi/dy, and its derivative in xi
     rate, bend = (
         -((1.0 + xi) ** 2) / (2.0 * reach),
         -(1.0 + xi) / reach,
-    )  # d xi/dy, and its derivative in xi
+    )
     first = rate[:, None] * slope
     return _make_grid(
         y, first, rate[:, None] * (bend[:, None] * slope + rate[:, None] * curvature)
@@ -156,9 +157,10 @@ def _chebyshev_nodes(count: int) -> tuple[Tensor, Tensor]:
     weight = torch.where((index == 0) | (index == count), 2.0, 1.0) * (-1.0) ** index
     sums = 0.5 * (index[:, None] + index)
     differences = 0.5 * (index - index[:, None])
+    # x_i - x_j, exactly
     distance = (
         2.0 * torch.sin(math.pi * sums / count) * torch.sin(math.pi * differences / count)
-    )  # x_i - x_j, exactly
+    )
     matrix = weight[:, None] / weight / (distance + eye(count + 1))
     matrix.fill_diagonal_(0.0)
     return x, matrix - torch.diag(matrix.sum(1))

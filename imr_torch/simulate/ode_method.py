@@ -94,9 +94,8 @@ class TransportField:
             x[:, lead], after[:, lead], change[:, lead], self.equations, self.tolerance
         )
         factor = step_factor(error)
-        factor = torch.where(
-            before[lead] == ACCEPTED, factor, factor.clamp_max(1.0)
-        )  # no growth after a failure
+        # no growth after a failure
+        factor = torch.where(before[lead] == ACCEPTED, factor, factor.clamp_max(1.0))
         ended = torch.where(error <= 1.0, ACCEPTED, REJECTED)
         ended = torch.where(torch.isfinite(error), ended, NOT_FINITE)
         factor = factor.repeat_interleave(self.width)

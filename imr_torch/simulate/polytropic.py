@@ -123,9 +123,8 @@ def _integrate_batch(
     status = torch.full((count,), int(Status.TOO_MANY_STEPS), device=times.device)
     steps = torch.zeros_like(status)
     fastest = torch.zeros_like(last)
-    limits = torch.full_like(
-        steps, 2 * stepping.max_steps
-    )  # a follower may need a little longer
+    # a follower may need a little longer
+    limits = torch.full_like(steps, 2 * stepping.max_steps)
     limits[::width] = stepping.max_steps
     active = torch.arange(count, device=times.device)
     ticks = stepping.step * torch.arange(block + 1, dtype=times.dtype, device=times.device)

@@ -79,13 +79,14 @@ class Equations:
         self.vapour = slice(self.heat.stop, self.heat.stop + self.n)
         self.gel = slice(self.vapour.stop, self.vapour.stop + self.m)
         self.rows = self.gel.stop + self.memory
+        # tau with tau_w before it
         self._parts = (
             HEAD - 1,
             1 + self.n,
             self.n,
             self.m,
             self.memory,
-        )  # tau with tau_w before it
+        )
         self._inside_operator = torch.cat((inside.first, inside.laplacian))
         self._outside_operator = torch.cat((outside.first, outside.laplacian))
         self.y = inside.nodes[:, None]

@@ -451,9 +451,8 @@ def solve_batch(
     )
     with torch.inference_mode(not is_tracked(parameters, designs, times)):
         parts = [solve(*block) for block in blocks]
-    fields = [
-        torch.cat(columns) for columns in zip(*parts, strict=True)
-    ]  # ordinary tensors again
+    # ordinary tensors again
+    fields = [torch.cat(columns) for columns in zip(*parts, strict=True)]
     radius, velocity, pressure = (x.reshape(*shape, -1) for x in _bubbles_only(*fields[:3]))
     status, steps = (
         x.reshape(shape) for x in (_explain_failures(fields[3], parameters), fields[4])

@@ -56,9 +56,10 @@ class App:
 def address(tmp_path_factory):
     folder = tmp_path_factory.mktemp("application") / "gel"
     command = [sys.executable, *f"-m imr_torch app --no-browser --out {folder}".split()]
+    # NiceGUI looks at these
     outside = {
         name: value for name, value in os.environ.items() if not name.startswith("PYTEST")
-    }  # NiceGUI looks at these
+    }
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=outside
     )

@@ -214,13 +214,11 @@ def test_that_a_search_ends_in_the_deepest_basin_wherever_it_began(drop_behind):
     wrong = fit([1.0, 0.0, -1.0], rounds=0)
     assert right.converged
     assert mended.converged
-    assert (
-        wrong.converged
-    )  # its starts agree: that certificate says nothing of other basins
+    # its starts agree: that certificate says nothing of other basins
+    assert wrong.converged
     assert wrong["nhkv"].cost > right["nhkv"].cost + 5.0
     assert mended["nhkv"].cost == pytest.approx(right["nhkv"].cost, abs=1e-4)
     assert_close(mended["nhkv"].mean, right["nhkv"].mean, rtol=0.0, atol=1e-2)
     assert wrong["newtonian"].cost > wrong["nhkv"].cost + 200.0
-    assert (
-        mended["newtonian"].cost == wrong["newtonian"].cost
-    )  # so far behind that nobody looks
+    # so far behind that nobody looks
+    assert mended["newtonian"].cost == wrong["newtonian"].cost

@@ -243,9 +243,8 @@ def test_that_spoilt_frames_are_left_out_and_no_others():
     assert frames_left_out(spoilt.curves, kept.curves) == {batch.curves[0].label: [12, 34]}
     assert without_spoilt_frames(near(batch)) is batch
     late = curves(Noise(scale=0.2), {"clock": 0.04})
-    assert (
-        without_spoilt_frames(near(late)) is late
-    )  # collapses at the wrong time are no spikes
+    # collapses at the wrong time are no spikes
+    assert without_spoilt_frames(near(late)) is late
 
 
 def test_that_a_handful_of_frames_is_not_taken_for_quiet():

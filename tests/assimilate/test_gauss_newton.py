@@ -68,9 +68,8 @@ def test_that_sensitivities_of_any_size_leave_a_definite_hessian_and_a_factor_of
     """At the edge of where bubbles can be simulated a slope may be 1e9 standard deviations, and rounding 1e18 times 1e-16."""
     gel, nuisances, by_gel, by_nuisance, residual = problem(6)
     by_gel[3:] *= 1e9
-    by_nuisance[3:] = by_gel[
-        3:
-    ]  # a nuisance that moves the curve as the gel does: the elimination cancels
+    # a nuisance that moves the curve as the gel does: the elimination cancels
+    by_nuisance[3:] = by_gel[3:]
     found = assembled(gel, nuisances, by_gel, by_nuisance, residual)
     smooth = assembled(gel[:3], nuisances[:3], by_gel[:3], by_nuisance[:3], residual[:3])
     assert (torch.linalg.cholesky_ex(found.reduced.hessian).info == 0).all()

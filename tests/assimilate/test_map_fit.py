@@ -205,9 +205,8 @@ def test_that_an_integration_error_that_jumps_does_not_keep_a_fit_from_convergin
     assert fit.certificate.agreement < 1e-6
     truth = exact(NHKV.models[0], batch)
     assert ((fit.mean - truth.mean).abs() / truth.covariance.diagonal().sqrt()).max() < 0.1
-    alone = fit_linear(batch, JitterySimulator(lock_step=False)).fits[
-        0
-    ]  # differences of the error, divided by their step
+    # differences of the error, divided by their step
+    alone = fit_linear(batch, JitterySimulator(lock_step=False)).fits[0]
     assert alone.chol.diagonal().prod() < 1e-3 * truth.covariance.det().sqrt()
 
 
@@ -238,9 +237,8 @@ def test_that_among_models_the_other_starts_of_a_model_with_several_minima_follo
         found = fit_linear(
             batch, WavySimulator(), belief, options=options, starts=[good, starts]
         )
-        assert (
-            found["gen_qkv"].cost - found["nhkv"].cost > 0.1
-        )  # further behind than a second start may lag
+        # further behind than a second start may lag
+        assert found["gen_qkv"].cost - found["nhkv"].cost > 0.1
         return found["gen_qkv"].cost
 
     best = cost(rows[[2, 2]])

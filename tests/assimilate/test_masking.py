@@ -69,9 +69,8 @@ def test_that_chains_pass_frames_next_to_a_collapse(monkeypatch):
 
 
 def test_which_frames_are_next_to_a_collapse():
-    radius = tensor(
-        1.0, 0.9, 0.8, 0.2, 0.5, 0.7, 0.6, 0.5, 0.3, 0.1
-    )  # a collapse at frame 3, and one at the end of the record
+    # a collapse at frame 3, and one at the end of the record
+    radius = tensor(1.0, 0.9, 0.8, 0.2, 0.5, 0.7, 0.6, 0.5, 0.3, 0.1)
     kept = starts.away_from_collapses(arange(10), radius)
     assert kept.tolist() == [
         True,

@@ -69,9 +69,8 @@ def test_that_a_gaussian_posterior_is_trusted_in_one_round(simple):
     assert after.trust.endswith("of 256)")
     sds = torch.linalg.norm(before.posterior.chol, dim=1)
     moved = (after.posterior.mean - before.posterior.mean).abs() / sds
-    assert (
-        moved.max() < 0.03
-    )  # what chance leaves of a correction that is not needed; .06 by weighted draws alone
+    # what chance leaves of a correction that is not needed; .06 by weighted draws alone
+    assert moved.max() < 0.03
     assert_close(
         torch.linalg.norm(after.posterior.chol, dim=1) / sds,
         ones(2),

@@ -107,9 +107,8 @@ def test_noise_that_was_learnt_is_in_the_journal_and_is_what_the_next_design_exp
     run = campaign(tmp_path / "loud", settings=settings)
     assert run.plan == settings.plan
     step = run.tell(louder.shoot(tensor([400.0, 0.2]), seed=0))
-    assert step.noise.scale == pytest.approx(
-        4.0, rel=0.35
-    )  # some 20 frames of a mean curve
+    # some 20 frames of a mean curve
+    assert step.noise.scale == pytest.approx(4.0, rel=0.35)
     again = campaign(tmp_path / "loud", settings=settings)
     assert again.plan.noise == run.plan.noise == step.noise
     assert again.plan.repeats == settings.plan.repeats

@@ -162,9 +162,8 @@ def test_that_a_disk_that_is_full_from_any_operation_on_leaves_the_journal_as_be
             [known] * 2,
             [known + 1] * 2,
         )
-        journal.append(
-            "note", text=f"again {at}"
-        )  # the same object may go on once there is room
+        # the same object may go on once there is room
+        journal.append("note", text=f"again {at}")
 
 
 def test_that_an_interrupt_in_a_write_leaves_the_journal_as_before(folder, monkeypatch):

@@ -65,9 +65,8 @@ def test_that_the_gain_is_over_the_cost_of_a_shot():
     assert dear.joint == pytest.approx(shown, abs=4.0 * dear.recommendation.sd + 0.05)
     doubled = search(list_designs([2.0] * len(GRID)), evaluations=20)[1]
     assert torch.equal(doubled.chosen, cheap.chosen)
-    assert doubled.joint == pytest.approx(
-        cheap.joint, abs=0.02
-    )  # nats of the shot, not per cost
+    # nats of the shot, not per cost
+    assert doubled.joint == pytest.approx(cheap.joint, abs=0.02)
 
 
 @pytest.mark.parametrize(

@@ -57,10 +57,11 @@ def test_that_a_line_is_shot_at_its_ends_in_turn():
 
 
 def test_that_bubbles_that_fail_tell_nothing():
+    # all tell as much: the first
     assert choose(2, camera=Line(limit=-9.0)) == [
         100.0,
         100.0,
-    ]  # all tell as much: the first
+    ]
 
 
 def test_that_information_counts_per_cost():

@@ -145,9 +145,8 @@ def test_that_a_class_or_function_is_documented_by_its_own_directive(extensions)
     for found in extensions["api"].entries().values():
         for entry in found:
             value = getattr(importlib.import_module(entry.module), entry.name)
-            is_shape = hasattr(
-                value, "dim_str"
-            )  # the annotation of a tensor, a class to Python
+            # the annotation of a tensor, a class to Python
+            is_shape = hasattr(value, "dim_str")
             own = inspect.isclass(value) and not is_shape
             assert (entry.kind in ("class", "exception")) == own
 

@@ -74,9 +74,8 @@ def test_that_the_support_is_where_the_density_is():
     assert given.support.check(theta).tolist() == [True, False, False, False]
     assert torch.isfinite(given.log_prob(theta)).tolist() == [True, False, False, False]
     free = float64.randn(6, 2, generator=torch.Generator().manual_seed(0))
-    to_support = torch.distributions.biject_to(
-        given.support
-    )  # how sbi's samplers keep inside
+    # how sbi's samplers keep inside
+    to_support = torch.distributions.biject_to(given.support)
     inside = to_support(free)
     assert given.support.check(inside).all()
     assert_close(to_support.inv(inside), free)

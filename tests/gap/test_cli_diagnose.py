@@ -138,9 +138,8 @@ def test_that_matched_data_give_silence_in_words_json_and_html(matched, tmp_path
     page = paths["html"].read_text()
     assert "No gap was found" in page
     assert "radius over time of design 1" in page
-    assert (
-        "radius over time of design 2" not in page
-    )  # the one that is held out is not looked at
+    # the one that is held out is not looked at
+    assert "radius over time of design 2" not in page
 
 
 @pytest.mark.parametrize(

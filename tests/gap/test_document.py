@@ -488,9 +488,8 @@ def test_that_bubbles_that_cannot_be_simulated_elsewhere_cost_the_next_design_al
     def failing(*_, **__):
         raise ConvergenceError("too few designs")
 
-    module = sys.modules[
-        "imr_torch.gap.examine"
-    ]  # its name in the package is the function's
+    # its name in the package is the function's
+    module = sys.modules["imr_torch.gap.examine"]
     monkeypatch.setattr(module, "identity_design", failing)
     monkeypatch.setattr(module, "_SURE", 1.1)
     experiments = shots({"sound_speed": 0.5}, 10, (8e3, 8e3))

@@ -69,9 +69,8 @@ def test_that_it_says_where_it_acts_in_which_units_and_how_large_it_may_be(name)
 def test_that_effects_are_offered_by_name_and_to_bases_that_they_can_act_on():
     assert [e.name for e in library(["pulse", "wall"])] == ["pulse", "wall"]
     assert len(library(without=["pulse"])) == len(library()) - 1
-    assert "compressibility" not in [
-        effect.name for effect in library()
-    ]  # where it is named
+    # where it is named
+    assert "compressibility" not in [effect.name for effect in library()]
     assert [effect.name for effect in library(["compressibility"])] == ["compressibility"]
     assert "strain_stiffening" in {e.name for e in library(base="nhkv")}
     assert "strain_stiffening" not in {e.name for e in library(base="gen_qkv")}

@@ -72,6 +72,5 @@ def test_that_a_collapse_on_the_wrong_side_of_a_frame_ends_no_search():
     found = fit_hypotheses(inquiry, [hypothesis], null, seed=0, options=options)[
         "rinf_bias"
     ]
-    assert (
-        found.cost < fit(batch, hypothesis, rinf_bias=-0.08).cost + 0.1
-    )  # 33 nats above with every frame from the start
+    # 33 nats above with every frame from the start
+    assert found.cost < fit(batch, hypothesis, rinf_bias=-0.08).cost + 0.1

@@ -112,9 +112,8 @@ def test_that_the_evidence_by_sampling_is_on_the_scale_of_the_gaussian_one(gas):
     evidence["wall"] = evidence["gas_loss"] - 1.0  # so that both count as leading
     found = check_evidence(fits, evidence, batch, SIMULATOR, seed=0)
     assert set(found) == {"gas_loss", "wall"}
-    own = found[
-        "gas_loss"
-    ]  # a well determined effect has a posterior that is all but Gaussian
+    # a well determined effect has a posterior that is all but Gaussian
+    own = found["gas_loss"]
     assert own.reliable
     assert own.sampled == pytest.approx(own.laplace, abs=4.0 * own.error + 0.1)
 

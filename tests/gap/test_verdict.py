@@ -218,9 +218,8 @@ def test_that_slow_noise_has_its_prior_and_deviations_alike_in_all_shots_as_an_u
     )
     assert posterior["gas_loss"] < plain["gas_loss"]
     loud = probabilities(EVEN, FAMILIES, "none", 1.0, smooth=(40.0, -3.0))
-    assert loud["slow_noise"] == pytest.approx(
-        2.0 / 3.0, abs=1e-6
-    )  # an unknown effect may differ between designs too
+    # an unknown effect may differ between designs too
+    assert loud["slow_noise"] == pytest.approx(2.0 / 3.0, abs=1e-6)
     assert loud["other"] == pytest.approx(1.0 / 3.0, abs=1e-6)
     alike = probabilities(EVEN, FAMILIES, "none", 1.0, smooth=(-3.0, 40.0))
     assert alike["other"] > 0.999

@@ -74,9 +74,8 @@ def test_that_shifts_have_unit_variance_where_the_model_is_right():
             if part.name == name and x in part.shifts
         ]
         assert len(shifts) >= 20
-        low, high = (
-            chi2.ppf((1e-4, 1.0 - 1e-4), 25) / 25
-        )  # two parameters of one curve depend
+        # two parameters of one curve depend
+        low, high = chi2.ppf((1e-4, 1.0 - 1e-4), 25) / 25
         assert low < np.mean(np.square(shifts)) < high
     assert sum(not found.agree for found in tests) <= 5
 
@@ -168,9 +167,8 @@ def test_that_a_gel_that_does_not_change_stays_within_the_intervals_of_its_stret
             for row in stretches
             for name, value in GEL.items()
         ]
-    assert (
-        0.84 < np.mean(held) <= 1.0
-    )  # 144 intervals of 90 %, wider by a prior that is right
+    # 144 intervals of 90 %, wider by a prior that is right
+    assert 0.84 < np.mean(held) <= 1.0
 
 
 def test_that_a_gel_that_softens_is_seen_over_time():

@@ -66,9 +66,8 @@ def test_that_a_phase_quieter_than_the_law_counts_as_it_is():
     scale = ones(200)
     scale[160:] = 0.2
     square = (scale * randn(200, generator=generator(1))).square()
-    shares = noise_shares(
-        [square, 2.0 * square], phase
-    )  # the hypothesis that leaves least decides
+    # the hypothesis that leaves least decides
+    shares = noise_shares([square, 2.0 * square], phase)
     assert shares[:160].tolist() == [1.0] * 160
     assert shares[160:].tolist() == pytest.approx([0.04] * 40, rel=0.5)
     none = torch.where(phase == 4, -1, phase)

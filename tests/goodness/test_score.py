@@ -65,9 +65,8 @@ def test_that_an_effect_is_found_as_often_as_its_power_says(matched, name):
         gap_test(alone, drawn(line, 2000 + seed, lean), seed=seed) for seed in range(100)
     ]
     own = [next(b for b in r.blocks if b.name == name) for r in results]
-    found = sum(
-        b.p_value < LEVEL / 2.0 for b in own
-    )  # of two blocks, its own and the chi-square
+    # of two blocks, its own and the chi-square
+    found = sum(b.p_value < LEVEL / 2.0 for b in own)
     low, high = binomtest(found, 100).proportion_ci(0.99, method="exact")
     assert low < own[0].power < high
     everywhere = gap_test(blocks, drawn(line, 7, 3.0 * lean), seed=1)

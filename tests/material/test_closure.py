@@ -28,6 +28,5 @@ STATES = {
 def test_that_each_law_is_a_stress_against_its_state(law, coefficient):
     radius, velocity, rest = (tensor(x) for x in (RADIUS, VELOCITY, REST))
     stress = stress_of_term(law, radius, velocity, rest, tensors({law.switch: coefficient}))
-    assert stress.value == pytest.approx(
-        -coefficient * STATES[law.switch], rel=1e-3
-    )  # |U| is rounded off
+    # |U| is rounded off
+    assert stress.value == pytest.approx(-coefficient * STATES[law.switch], rel=1e-3)

@@ -52,9 +52,8 @@ def quadrature(
         excess = 2.0 * squared + squared**-2 - 3.0
         elastic = stiffness(excess, values) * (squared**-2 - squared)
         shear = 2.0 * math.sqrt(3.0) * abs(velocity) / radius * s**3
-        small = (
-            -2.0 * values.get("G_lin", 0.0) * s**3 * (1.0 - (REST / radius) ** 3)
-        )  # 2 G (e_rr - e_tt)
+        # 2 G (e_rr - e_tt)
+        small = -2.0 * values.get("G_lin", 0.0) * s**3 * (1.0 - (REST / radius) ** 3)
         return (
             2.0
             * (elastic + small - 6.0 * viscosity(shear, values) * velocity * s**3 / radius)

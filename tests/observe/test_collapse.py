@@ -135,9 +135,8 @@ def test_that_an_almost_empty_cavity_collapses_in_rayleighs_time():
             bubbles, PARAMETERS.pack({"G": 1e-3, "mu": 1e-7}), where, tensor([0.91])
         )
         errors.append(float(found[0]) / rayleigh - 1.0)
-    assert errors[0] / errors[1] == pytest.approx(
-        8.0, rel=0.05
-    )  # the gas goes with the cube of R_inf*
+    # the gas goes with the cube of R_inf*
+    assert errors[0] / errors[1] == pytest.approx(8.0, rel=0.05)
     assert 0.0 < errors[1] < 0.0011
 
 
@@ -323,9 +322,8 @@ def test_that_curves_and_times_of_one_gel_tell_more_than_either():
     either = [fitted(data), fitted((), curve, rest_radius=(0.15, 0.0015))]
     sds = [float(torch.linalg.det(r.assimilation["nhkv"].chol)) for r in (both, *either)]
     assert sds[0] < min(sds[1:])
-    assert (
-        both.assimilation["nhkv"].sample.noise is None
-    )  # beside collapse times the noise is plugged in
+    # beside collapse times the noise is plugged in
+    assert both.assimilation["nhkv"].sample.noise is None
     assert "a further error of" in both.report()
     assert len(both.collapse_times()) == 8
     assert [e.label for e in both.experiments] == ["curve"]

@@ -79,10 +79,11 @@ def test_that_standard_deviations_are_priors_of_the_logarithm_in_every_model():
     deviations = dict(zip(part.names, part.sds.tolist(), strict=True))
     assert deviations["density"] == pytest.approx(0.02)
     assert deviations["medium_pressure"] == pytest.approx(500.0 / 101325.0)
+    # once
     assert (
         gel_medium(text("density=1000:20,pressure=101325:500")).believed(belief).keys
         == belief.keys
-    )  # once
+    )
 
 
 def test_that_the_caller_counts_before_the_file_and_says_so():

@@ -40,9 +40,8 @@ def test_that_a_misplaced_edge_is_in_every_radius_that_is_read_off_the_film(erro
     filmed = seen(designs, times, edge_error=error)
     assert_close(filmed, (true + error) / measured_size[:, None], rtol=1e-9, atol=1e-9)
     assert (filmed - seen(designs, times)).abs().max() > 3e-3
-    assert_close(
-        filmed[:, 0], ones(2), rtol=0.0, atol=1e-12
-    )  # at the maximum, whatever it is
+    # at the maximum, whatever it is
+    assert_close(filmed[:, 0], ones(2), rtol=0.0, atol=1e-12)
 
 
 def test_that_a_misplaced_edge_adds_to_the_nuisances_of_each_experiment():

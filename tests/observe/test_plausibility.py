@@ -136,12 +136,24 @@ def test_that_gels_within_the_default_prior_are_usual(modulus, cautions):
     assert len(prepare(stiff, rest_radius=REST).cautions) == cautions
 
 
+def test_that_an_early_collapse_is_unusual_where_the_record_begins_after_its_maximum():
+    times = linspace(0.0, 2.0, 41)
+    early = Experiment(
+        "shot", (400.0, 0.22), times, (0.6 + 0.4 * torch.cos(5.0 * times))[None]
+    )
+    assert not check_experiment(early, "gel.csv")
+    (caution,) = check_experiment(early, "gel.csv", cut=True, remedy="and where it begins")
+    assert "t* = 0.6" in caution
+    assert caution.endswith(
+        "usual is 0.7 to 1.4. Check the units of radius and time, and where it begins."
+    )
+
+
 def test_that_time_zero_is_the_maximum_and_rmax_its_radius():
     times, radius = curve()
     late = times / SCALE + 0.9
-    shifted = (
-        torch.cat((radius.flip(0)[-46:-1], radius)) / SIZE
-    )  # the fall to the maximum from the other side
+    # the fall to the maximum from the other side
+    shifted = torch.cat((radius.flip(0)[-46:-1], radius)) / SIZE
     ramp = torch.cat((late[:45] - 0.9, late))
     with refused(r"the largest frame is at t\* = 0\.90; expected time zero at the maximum"):
         check_experiment(Experiment("shot", (300.0, 0.2), ramp, shifted[None]), "set")
@@ -189,11 +201,12 @@ def test_that_measured_curves_pass(shared):
             cautions = [text for text in found.cautions if "stated R_inf" not in text]
             counts[file.stem] = counts.get(file.stem, 0) + len(cautions)
     assert len(counts) >= 20
+    # stiff gels
     assert {name for name, count in counts.items() if count > 1} <= {
         "agarose_5pct",
         "pegda_s4",
         "pegda_s5",
-    }  # stiff gels
+    }
 
 
 def test_that_what_the_laboratory_says_of_a_tail_is_true_or_false(tmp_path):

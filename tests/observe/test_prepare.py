@@ -67,9 +67,8 @@ def test_that_stated_radii_that_are_passed_over_are_said(largest):
 
 def test_that_a_record_without_rest_radius_takes_that_of_the_other_curves_widely():
     short = damped("short", 0.4)
-    cut = RadiusTrace(
-        "short", short.time_s[:26], short.radius_m[:26], "memory"
-    )  # ends as it collapses
+    # ends as it collapses
+    cut = RadiusTrace("short", short.time_s[:26], short.radius_m[:26], "memory")
     prepared = prepare(TraceSet((damped("long", 0.4), cut)))
     marks = prepared.landmarks["short"]
     assert marks.rest_method == "other curves"

@@ -409,9 +409,10 @@ def test_that_shots_that_differ_are_not_taken_for_noise():
     together = assimilate(PRIOR, one, LinearSimulator(), seed=0, options=OPTIONS).fits[0]
     near = Posterior(PART, one, LinearSimulator()).neighbourhood(together.point)
     common = infer_frame_noise(near, FrameNoisePrior(NOISE)).for_fits(widen=True).law
+    # one gel for all shots
     assert common.sd(tensor(0.5), tensor(1.0)) > 2.0 * shared.law.sd(
         tensor(0.5), tensor(1.0)
-    )  # one gel for all shots
+    )
 
 
 def _fits(part: ModelBelief = PART, count: int = 2):

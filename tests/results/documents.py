@@ -39,9 +39,8 @@ def traces(
         gel = PARAMETERS.pack(GEL | extra)
         before = tensor([0.03, 0.06, 0.09])
         radius = torch.cat([SIMULATOR(gel, design, t).radius for t in (before, times)])
-        radius[:3] = radius[:3].flip(
-            0
-        )  # growth mirrors the collapse where the bubble is large
+        # growth mirrors the collapse where the bubble is large
+        radius[:3] = radius[:3].flip(0)
         times = torch.cat((-before.flip(0), times))
         radius = radius + noise * randn(len(radius), generator=source)
         time_s = 5e-6 + times * Surroundings().time_scale(size)

@@ -53,9 +53,8 @@ def test_that_the_limit_is_the_quantile_of_the_posterior_in_si():
 def test_that_correlated_priors_and_coordinates_do_not_matter():
     chol = tensor([[2.0, 0.0], [0.1, 0.5]])
     prior = PRIOR.with_gaussian(tensor([0.5, -1.0]), chol)
-    precision = torch.linalg.inv(chol @ chol.mT) + torch.diag(
-        tensor([0.0, 400.0])
-    )  # data on mu
+    # data on mu
+    precision = torch.linalg.inv(chol @ chol.mT) + torch.diag(tensor([0.0, 400.0]))
 
     def posterior(weight: Tensor) -> ModelBelief:
         return prior.with_gaussian(

@@ -150,9 +150,8 @@ class Reference:
             tension = 2.0 * s.surface_tension / radius
             tension_dot = -2.0 * s.surface_tension * speed / radius**2
             excess = 2.0 * l**2 + l**-4 - 3.0
-            wall = (
-                2.0 * self.G * (1.0 + self.alpha * excess) * (l**-4 - l**2)
-            )  # 2 (tau_rr - tau_tt) at the wall
+            # 2 (tau_rr - tau_tt) at the wall
+            wall = 2.0 * self.G * (1.0 + self.alpha * excess) * (l**-4 - l**2)
             # dS/dt = 2 (tau_rr - tau_tt)|_R (U/R)/(l^3 - 1): the quadrature over the stretch ratio
             # differentiated at its end
             limit = -4.0 * self.G

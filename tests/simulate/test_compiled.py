@@ -244,9 +244,8 @@ def test_that_a_follower_is_the_same_in_a_bundle_of_any_size_bit_for_bit(kind):
         part = simulator.bundle(bundles[:, members], DESIGNS[0], TIMES)
         for name in ("radius", "velocity", "bubble_pressure"):
             assert torch.equal(getattr(part, name), getattr(whole, name)[:, members])
-    later = (
-        TIMES + 1e-3 * tensor(0.0, 0.0, 1.0)[:, None]
-    )  # the bubble of the first, made once
+    # the bubble of the first, made once
+    later = TIMES + 1e-3 * tensor(0.0, 0.0, 1.0)[:, None]
     twins = simulator.bundle(bundles[:, [0, 1, 0]], DESIGNS[0], later)
     alone = simulator.bundle(bundles[:, :2], DESIGNS[0], later[2])
     assert torch.equal(twins.radius[:, :2], whole.radius[:, :2])
@@ -302,9 +301,8 @@ def test_that_failures_have_the_same_status_and_the_same_good_beginning(
     assert torch.equal(ours.status, reference.status)
     assert (ours.status == status).all()
     shared = torch.isfinite(ours.radius) & torch.isfinite(reference.radius)
-    before = (
-        shared[:, :-1] & shared[:, 1:]
-    )  # rounding grows without bound at a singularity, so its last frame is left out
+    # rounding grows without bound at a singularity, so its last frame is left out
+    before = shared[:, :-1] & shared[:, 1:]
     assert (ours.radius - reference.radius)[:, :-1][before].abs().max() < SAME
     assert int(before.sum()) >= 2
     assert not torch.isfinite(ours.radius).all()
@@ -461,9 +459,8 @@ def test_that_damaged_code_is_compiled_anew(tmp_path, capsys):
 def test_that_a_folder_that_cannot_be_written_is_no_obstacle(tmp_path, monkeypatch, capsys):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("IMR_TORCH_CACHE", str(tmp_path / "file" / "cache"))
-    module = build.load_engine.__wrapped__(
-        registry_of(Conditions())
-    )  # not the one that other tests share; nothing is compiled
+    # not the one that other tests share; nothing is compiled
+    module = build.load_engine.__wrapped__(registry_of(Conditions()))
     assert (
         "cannot be written, so compiled code is not kept; set IMR_TORCH_CACHE"
         in capsys.readouterr().err

@@ -60,9 +60,8 @@ def test_that_a_table_is_met_at_its_samples_and_held_beyond_them():
     value, rate, bend = driving(tensor(-1e-5, -1.0, 6.1e-5, 1.0).reshape(2, 2))
     assert value.tolist() == [[0.0, 0.0], [pytest.approx(1e4)] * 2]
     assert rate.abs().sum() + bend.abs().sum() == 0.0
-    near = driving(tensor(1e-12, 6e-5 - 1e-12))[
-        1
-    ]  # the spline joins the constants without a kink
+    # the spline joins the constants without a kink
+    near = driving(tensor(1e-12, 6e-5 - 1e-12))[1]
     assert near.abs().max() < 1e-5 * 1e9
 
 

@@ -123,12 +123,13 @@ def test_that_a_gel_with_memory_has_its_third_order_small_oscillation(key, sound
     matrix = np.stack([np.array([0.0, 1.0, 0.0]), force / (rest + delay * friction), rate])
     start = np.array([1.0, 0.0, 0.0])
     if key in ("sls", "sns"):
+        # relaxed at the maximum
         start[2] = (
             -4.0
             * values.get("G", values.get("G_lin", 0.0))
             / outer.far_field_pressure
             / rest
-        )  # relaxed at the maximum
+        )
     t = grid(6.0, 61)
     x = torch.tensor([(expm(matrix * float(s)) @ start)[0] for s in t])
     assert np.iscomplex(np.linalg.eigvals(matrix)).any()

@@ -38,9 +38,8 @@ def test_radius_agrees_with_the_independent_solver(cases, oracle, key):
     error = np.abs(radius - oracle[f"{CURVES[key]}_R_1601"])
     assert np.median(error) < 5e-5
     assert np.median(error.max(1)) < 1e-3
-    assert (
-        error.max() < 2.5e-3
-    )  # the independent solver itself is good to 1e-3 or 2e-3 in the most violent case
+    # the independent solver itself is good to 1e-3 or 2e-3 in the most violent case
+    assert error.max() < 2.5e-3
 
 
 @pytest.mark.parametrize("key", CURVES)

@@ -175,9 +175,8 @@ def solve_block(which, batch, settings, work):
         member = bundle * batch.width
         while member < (bundle + 1) * batch.width:
             leads = member == bundle * batch.width
-            limit = (
-                max_steps if leads else 2 * max_steps
-            )  # a follower may need a little longer
+            # a follower may need a little longer
+            limit = max_steps if leads else 2 * max_steps
             step = attempts[chosen, 0]
             share = attempts[chosen, 1]
             outcome, taken = integrate_bubble(batch, member, step, share, limit, work)

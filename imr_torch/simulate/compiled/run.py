@@ -270,9 +270,8 @@ def _thread_pool(threads: int) -> ThreadPoolExecutor:
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(
-        after_in_child=_thread_pool.cache_clear
-    )  # threads do not survive a fork, and waiting for them never ends
+    # threads do not survive a fork, and waiting for them never ends
+    os.register_at_fork(after_in_child=_thread_pool.cache_clear)
 
 
 @functools.cache
