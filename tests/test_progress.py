@@ -3,6 +3,7 @@ for.
 """
 
 import io
+import itertools
 import json
 import re
 import sys
@@ -119,6 +120,14 @@ def test_that_a_log_gets_a_line_per_stage_and_one_every_half_minute():
         made(iteration(second + 1))
     made(stage("noise", "noise 1"))
     assert len(stream.getvalue().splitlines()) == 4  # at 0, 30, 60 s, and the second stage
+
+
+def test_that_a_log_says_a_stage_when_it_begins_though_time_passes_meanwhile():
+    made, stream, _ = terminal(characterize_stages(1))
+    made.clock = itertools.count().__next__
+    made(LONG)
+    made(stage("noise", "noise 0.09 x the published law"))
+    assert "stage 2 of 5" in stream.getvalue()
 
 
 def test_that_verbose_prints_every_line_as_it_is_and_quiet_none():

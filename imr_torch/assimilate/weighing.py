@@ -177,7 +177,9 @@ def weigh(
             if progress:
                 model = state.fit.prior.material.title
                 text = f"draws: {model}, round {number}, {state.fit.trust}"
-                step = f"{model}, round {number} of at most {rounds}"
+                step = (
+                    f"{model}, round {number} of at most {rounds}" if rounds > 1 else model
+                )
                 expected = drawn + sum(
                     _size_of_round(later)  # two more each, as far as they are allowed
                     for one in waiting
@@ -185,7 +187,7 @@ def weigh(
                     for later in range(len(one.parts), min(len(one.parts) + 2, rounds))
                 )
                 part = drawn / expected
-                size = expected / (2.0 * len(states))
+                size = expected / (min(2, rounds) * len(states))
                 progress(ProgressLine(text, step=step, part=part, size=size))
         _fit_again(waiting, states, options, child(seed, "refit", number), progress)
         ahead = _models_ahead([state.fit for state in states], drop_behind)

@@ -158,15 +158,15 @@ class Terminal:
             return
         with self._lock:
             self._begun = True
-            now = self.clock()
             if self.verbose:
-                print(f"[{now - self.started:6.1f} s] {text}", file=self.stream, flush=True)
+                elapsed = self.clock() - self.started
+                print(f"[{elapsed:6.1f} s] {text}", file=self.stream, flush=True)
                 return
             self._take_step(text if isinstance(text, ProgressLine) else ProgressLine(text))
             if self.live:
                 self._show_state()
-            elif now >= self._due:
-                self._due = now + self.log_every
+            elif self.clock() >= self._due:
+                self._due = self.clock() + self.log_every
                 print(self.describe_state(), file=self.stream, flush=True)
 
     def describe_state(self) -> str:

@@ -42,7 +42,9 @@ _FIT = SearchOptions(starts=2, iterations=30, drop_behind=_BEHIND, basin_rounds=
 # wide noise does not tell the basins of nuisances apart
 _FIT_NEAR = replace(_FIT, basin_rounds=1)
 _FIT_GELS = replace(_FIT, iterations=60)
-_OF_ONE_GEL = 0.75  # share of an attribution's time until gels may differ
+# shares of an attribution's time until gels may differ, and until draws check evidences
+_OF_ONE_GEL = 0.6
+_OF_FITS = 0.75
 
 
 @dataclass(frozen=True)
@@ -316,7 +318,14 @@ def _conclude(
     leader = find_winner((), seed)
     alike = {n: x for n, x in evidence.items() if n in found.alike}
     own = child(seed, "evidence")
-    checked = check_evidence(fits, alike, batch, inquiry.simulator, seed=own)
+    checked = check_evidence(
+        fits,
+        alike,
+        batch,
+        inquiry.simulator,
+        seed=own,
+        progress=within(inquiry.progress, _OF_FITS, 1.0, name="evidence by draws"),
+    )
     if checked and all(found.reliable for found in checked.values()):
         evidence |= {name: found.sampled for name, found in checked.items()}
         leader = find_winner(checked, child(seed, "ahead"))

@@ -56,7 +56,9 @@ _GRID = (
     math.inf,
 )
 _LEVEL = 0.01  # of a false onset; that there is a gap at all is not decided here
-_SEARCH = 4.0  # time with a search of designs over that without
+# time with a search of designs over that without, where the noise is known and where it was inferred,
+# by which all else takes longer
+_SEARCH = (4.0, 2.0)
 _NAMED = ("effect", "class")  # verdicts that name a cause
 _SURE = 0.95  # probability of the leading cause from which on no shot is designed
 
@@ -163,7 +165,8 @@ def examine(
     # part of the time until a design is searched
     judged = 0.3 if searching else 0.9 if report.verdict in _NAMED else 0.6
     why = "the cause is not sure" if searching else ""
-    progress = within(progress, 0.0, 1.0, name=why, size=_SEARCH if searching else 1.0)
+    size = _SEARCH[report.batch.noise_laws is not None] if searching else 1.0
+    progress = within(progress, 0.0, 1.0, name=why, size=size)
     if progress:
         text = "location, shrinkage, next design, what is missing"
         progress(ProgressLine(text, stage="location", part=0.0))

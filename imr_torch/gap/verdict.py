@@ -25,6 +25,7 @@ from imr_torch.errors import ConvergenceError
 from imr_torch.material.belief import even_belief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
+from imr_torch.types import Progress
 
 NONE = "none"
 OTHER = "other"
@@ -179,6 +180,7 @@ def check_evidence(
     simulator: Simulator,
     *,
     seed: int,
+    progress: Progress = None,
 ) -> dict[str, CheckedEvidence]:
     """Evidence of the leading hypotheses by importance sampling.
 
@@ -188,6 +190,7 @@ def check_evidence(
         batch: the data.
         simulator: makes the bubbles.
         seed: of the draws.
+        progress: called with one line per hypothesis.
 
     Returns:
         Hypothesis -> evidence of all within ``NEAR`` nats of the best (four at most); empty where
@@ -206,6 +209,7 @@ def check_evidence(
             samples=_SAMPLES,
             rounds=1,
             options=WeighingOptions(refits=0),
+            progress=progress,
         )
     except ConvergenceError:
         return {}
