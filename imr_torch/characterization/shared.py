@@ -15,12 +15,10 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import torch
-from scipy.optimize import minimize
 from scipy.stats import chi2
 from torch import Tensor
 from torch.special import ndtri
 
-from imr_torch.assimilate.importance import weighted_quantiles
 from imr_torch.characterization.compare import CLEAR, list_cautions
 from imr_torch.characterization.saved import SavedCharacterization
 from imr_torch.document import header
@@ -29,10 +27,8 @@ from imr_torch.files import Document
 from imr_torch.float64 import linspace, tensor
 from imr_torch.material import PARAMETERS, Marginal, ModelBelief, TruncatedNormal
 from imr_torch.material.model_belief import LEVELS, intervals
+from imr_torch.population.shared_value import ValueGrid, raise_powers
 from imr_torch.results import document_report
-
-WIDEST = 10.0
-"""Prior standard deviations at which the grid over the shared value ends."""
 
 NODES = linspace(0.0025, 0.9975, 200)
 """Probabilities of the quantiles over which a gel's other parameters are integrated."""
@@ -131,40 +127,36 @@ def infer_shared(
             f"share {parameter!r}: one result; give those of two gels or more."
         )
     keys, marginal = _choose_models(results, parameter, model)
-    is_normal = isinstance(marginal, TruncatedNormal)
-    controls = linspace(-WIDEST, WIDEST, nodes)
-    before = (-0.5 * controls.square()).log_softmax(0)
-    at = marginal.to_physical(controls)
-    grid = at if is_normal else controls
+    grid = ValueGrid(marginal, nodes=nodes)
     gels = []
     moments = []
     for result, key in zip(results, keys, strict=True):
         draws = result.draws(key, count=4000)
-        x = draws.values[:, draws.names.index(parameter)]
-        x = x if is_normal else marginal.to_control(x)
+        x = grid.coordinate(draws.values[:, draws.names.index(parameter)])
         part = result.posterior[key]
         joint = torch.cat((x[:, None], part.to_controls(draws.values)), 1)
         mean = draws.weights @ joint
         covariance = torch.cov(joint.mT, correction=0, aweights=draws.weights)
         gels.append((result, part, draws.weights, x, mean, covariance))
         moments.append(torch.stack((mean[0], covariance[0, 0].sqrt())))
-    likelihoods = torch.stack([_fit_likelihood(pair, grid, before) for pair in moments])
-    values = likelihoods @ _raise_powers(grid)
-    own = (values + before).logsumexp(1)
-    together = values.sum(0) + before
-    shared = together.softmax(0)
+    likelihoods = torch.stack([grid.fit_likelihood(*pair) for pair in moments])
+    together = likelihoods.sum(0)
+    own = grid.log_evidence(likelihoods)
     neutral = tensor(PARAMETERS[parameter].neutral)
-    none: list[float | None] = (likelihoods @ _raise_powers(neutral) - own).tolist()
-    if not (is_normal and marginal.lower <= neutral <= marginal.upper):
-        none = [None] * len(gels)
-    middles = weighted_quantiles(grid, shared, NODES)
+    none: list[float | None] = [None] * len(gels)
+    if (
+        isinstance(marginal, TruncatedNormal)
+        and marginal.lower <= neutral <= marginal.upper
+    ):
+        none = list((likelihoods @ raise_powers(neutral) - own).tolist())
+    middles = grid.coordinate(grid.quantiles(together, NODES))
     told = []
     cautions = []
     for i, (result, part, weights, x, mean, covariance) in enumerate(gels):
         key = part.model
         alone = intervals(part)
         after = _follow_shared(part, mean, covariance, middles)
-        others = (likelihoods.sum(0) - likelihoods[i]) @ _raise_powers(x)
+        others = (together - likelihoods[i]) @ raise_powers(x)
         weights = (weights.log() + others).softmax(0)
         models = result.document["models"]
         without = key.replace(f"+{parameter}", "")
@@ -183,7 +175,7 @@ def infer_shared(
             }
         )
         cautions += list_cautions(result, key)
-    evidences = {"one": float(together.logsumexp(0) - own.sum()), "own": 0.0}
+    evidences = {"one": float(grid.log_evidence(together) - own.sum()), "own": 0.0}
     without_it = [value for value in none if value is not None]
     if len(without_it) == len(gels):
         evidences["none"] = sum(without_it)
@@ -191,7 +183,7 @@ def infer_shared(
     spread = (mean - (mean / sd**2).sum() / (sd**-2).sum()) / sd
     return SharedParameter(
         parameter,
-        weighted_quantiles(at, shared, tensor(LEVELS)).tolist(),
+        grid.quantiles(together, tensor(LEVELS)).tolist(),
         evidences,
         float(chi2.sf(float(spread.square().sum()), len(told) - 1)),
         told,
@@ -225,27 +217,6 @@ def _choose_models(
                 f"{result.source}; characterise both from one prior."
             )
     return keys, priors[0]
-
-
-def _raise_powers(x: Tensor) -> Tensor:
-    """What the logarithm of a Gaussian is linear in, along a new first axis."""
-    return torch.stack((x.square(), x))
-
-
-def _fit_likelihood(moments: Tensor, grid: Tensor, before: Tensor) -> Tensor:
-    """Coefficients of the Gaussian log likelihood that gives a posterior its mean and standard
-    deviation, which makes draws with these most probable; of a flat one where none is wide enough.
-    """
-    mean, sd = moments
-    powers = _raise_powers((grid - mean) / sd)
-    square, linear = minimize(
-        lambda x: float((tensor(x) @ powers + before).logsumexp(0)) - x[0],
-        (-0.5, 0.0),
-        bounds=((None, 0.0), (None, None)),
-        tol=1e-12,
-    ).x
-    square /= sd**2
-    return torch.stack((square, linear / sd - 2.0 * square * mean))
 
 
 def _follow_shared(

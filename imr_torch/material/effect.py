@@ -136,6 +136,18 @@ class Effect:
         )
 
     @property
+    def strength(self) -> TruncatedNormal:
+        """Prior of the amplitude."""
+        prior = self.priors[self.names[0]]
+        assert isinstance(prior, TruncatedNormal)
+        return prior
+
+    @property
+    def shapes(self) -> tuple[tuple[float, ...], ...]:
+        """Values of the other parameters at which it starts."""
+        return tuple(dict.fromkeys(start[1:] for start in self.starts))
+
+    @property
     def family(self) -> str:
         """The class that it is reported with: its group, or itself."""
         return self.group or self.name

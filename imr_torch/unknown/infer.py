@@ -150,16 +150,10 @@ def infer_unknown(
     >>> unknown.explained > 10.0, unknown.probabilities["camera"] < 0.01
     (True, True)
     """
-    if bool(batch.collapse.any()) or not is_dataclass(simulator):
+    search = begin_search(fit, batch, simulator, sizes=sizes, rounds=rounds)
+    if search is None:
         return None
-    shots = tuple(
-        Shot(fit.prior, replace(batch, experiments=(experiment,)), simulator)
-        for experiment in batch.experiments
-    )
-    search = KindSearch(fit, batch.nuisance_sds > 0.0, shots, sizes, rounds)
     paths = [response.path for response in search.responses]
-    if not all(bool(torch.isfinite(path.radius).all()) for path in paths):
-        return None
     kinds: dict[str, Columns] = {
         "drive": function_of_time(paths),
         "material": function_of_state(material_state, attrgetter("own_stress"), paths),
@@ -193,6 +187,27 @@ def infer_unknown(
         missing,
         rivals,
     )
+
+
+def begin_search(
+    fit: ModelFit,
+    batch: ExperimentBatch,
+    simulator: Simulator,
+    *,
+    sizes: Sequence[float] = SIZES,
+    rounds: int = 8,
+) -> KindSearch | None:
+    """A search of what a fitted base model misses; arguments and None as of :func:`infer_unknown`."""
+    if bool(batch.collapse.any()) or not is_dataclass(simulator):
+        return None
+    shots = tuple(
+        Shot(fit.prior, replace(batch, experiments=(experiment,)), simulator)
+        for experiment in batch.experiments
+    )
+    search = KindSearch(fit, batch.nuisance_sds > 0.0, shots, sizes, rounds)
+    paths = [response.path for response in search.responses]
+    finite = all(bool(torch.isfinite(path.radius).all()) for path in paths)
+    return search if finite else None
 
 
 def _columns_of_term(

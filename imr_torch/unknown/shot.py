@@ -9,6 +9,7 @@ responses can be taken about it again: nothing here is limited to small pressure
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -17,8 +18,15 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate import Point, Posterior
-from imr_torch.float64 import arange, ones, zeros
-from imr_torch.material import PARAMETERS, TERMS, ModelBelief, dimensionless, gel_response
+from imr_torch.float64 import arange, ones, tensor, zeros
+from imr_torch.material import (
+    PARAMETERS,
+    TERMS,
+    Effect,
+    ModelBelief,
+    dimensionless,
+    gel_response,
+)
 from imr_torch.observe import Experiment, ExperimentBatch, predict
 from imr_torch.simulate import Simulator, TabulatedDriving
 from imr_torch.types import Controls, FrameValues
@@ -194,6 +202,32 @@ class Shot:
             pressure=self.whiten(changes, centre),
             path=self._path(simulator, parameters, shifts),
         )
+
+    def respond_to_effects(
+        self,
+        gel: Controls,
+        nuisances: Float[Tensor, "nuisances"],
+        pressure: Float[Tensor, "pulses"],
+        effects: Sequence[Effect],
+        *,
+        step: float = 0.05,
+    ) -> Float[Tensor, "columns frames"]:
+        """Whitened changes of the curve under a pressure, per prior standard deviation of the
+        strength of each effect: one for each :attr:`~imr_torch.material.Effect.shapes`.
+        """
+        parameters = self.prior.to_si(gel)
+        moved = [parameters]
+        for effect in effects:
+            for shape in effect.shapes:
+                row = parameters.clone()
+                values = (step * effect.strength.sd, *shape)
+                row[PARAMETERS.index(effect.names)] = tensor(values)
+                moved.append(row)
+        shifts = nuisances[None] * self.batch.nuisance_sds
+        simulator = self.driven(pressure)
+        curves = predict(simulator, torch.stack(moved), self.batch, shifts, bundled=True)
+        changes = (curves[1:, 0] - curves[:1, 0]) / step
+        return self.whiten(changes.nan_to_num(), curves[0, 0])
 
     def reread(self, errors: Float[Tensor, "twice_frames"]) -> "Shot":
         """The shot as a camera without errors would have filmed it.

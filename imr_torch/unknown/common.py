@@ -1,0 +1,376 @@
+"""Is what several gels miss common to all of them, or each gel's own?
+
+Each gel's curves are followed by a bubble that feels a pressure of its own in each shot. About these
+trajectories the curves are linear in everything that may be missing: the weights of an unknown
+function (stress, contents, sample, camera) and the strength of an effect of the library, both called
+causes here. Five hypotheses are weighed in closed form, each with gel and nuisances of each gel's own,
+and from the second on with a pressure of each shot's own, of unknown size, beside:
+
+- *nothing* is missing;
+- *shots*: nothing but that pressure;
+- *own*: a cause in each gel, of its own name and with weights of its own;
+- *one*: one cause with the same weights in all gels;
+- *both*: the same, and a stress of each gel's own beside.
+
+Half of the prior of a cause is for the functions, half for the effects. What a linear step cannot
+follow looks like each gel's own.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from operator import attrgetter
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from imr_torch.assimilate import ModelFit
+from imr_torch.errors import InputDataError
+from imr_torch.float64 import tensor, zeros
+from imr_torch.material import Effect
+from imr_torch.material.model_belief import LEVELS
+from imr_torch.observe import ExperimentBatch
+from imr_torch.population.shared_value import ValueGrid
+from imr_torch.simulate import Simulator
+from imr_torch.unknown.infer import CAMERA, SIZES, begin_search
+from imr_torch.unknown.kinds import (
+    Columns,
+    camera_errors,
+    contents_state,
+    flux_kernel,
+    function_of_state,
+    function_of_time,
+    material_state,
+)
+from imr_torch.unknown.search import KindFit, KindSearch
+from imr_torch.unknown.shot import Path
+
+CLEAR = 0.95
+"""Probability from which on a hypothesis is the verdict."""
+
+MATERIAL = "material"
+
+
+@dataclass(frozen=True)
+class CommonCause:
+    """One cause in all gels.
+
+    Args:
+        name: a kind of function, or an effect of the library.
+        probability: that it is the common one, if one is.
+        log_evidences: ``"own"``, ``"one"`` and ``"both"`` -> log evidence over no cause, nats, where
+            all gels have a cause of this name.
+        interval: 5, 50 and 95 % quantiles of one strength for all gels, SI; empty for a function.
+        alone: the same of each gel by itself.
+    """
+
+    name: str
+    probability: float
+    log_evidences: dict[str, float]
+    interval: list[float]
+    alone: list[list[float]]
+
+
+@dataclass(frozen=True)
+class CommonUnknown:
+    """What is missing in several gels.
+
+    Args:
+        probabilities: ``"nothing"``, ``"shots"``, ``"own"``, ``"both"`` and ``"one"`` -> probability;
+            equally probable before.
+        causes: the most probable common one first.
+    """
+
+    probabilities: dict[str, float]
+    causes: tuple[CommonCause, ...]
+
+    @property
+    def verdict(self) -> str:
+        """The hypothesis with a probability of .95 or more, ``"none"`` where no cause has it, or
+        ``"common"`` where one cause has it, whether or not gels miss something of their own beside;
+        else ``"undecided"``.
+        """
+        p = self.probabilities
+        likely = p | {"none": p["nothing"] + p["shots"], "common": p["one"] + p["both"]}
+        names = ("one", "both", "own", "none", "common")
+        return next((name for name in names if likely[name] >= CLEAR), "undecided")
+
+
+@dataclass(frozen=True)
+class FollowedGel:
+    """A gel whose curves are followed by a pressure of each shot's own.
+
+    Args:
+        search: the data and the base model's fit.
+        followed: the fit of that pressure.
+    """
+
+    search: KindSearch
+    followed: KindFit
+
+    @classmethod
+    def follow(
+        cls, fit: ModelFit, batch: ExperimentBatch, simulator: Simulator
+    ) -> "FollowedGel":
+        """About a fit of the base model.
+
+        Raises:
+            InputDataError: where the bubbles cannot be simulated, or the data are not curves.
+        """
+        search = begin_search(fit, batch, simulator)
+        if search is None:
+            raise InputDataError(
+                "what is common is asked of curves whose bubbles can be simulated, and these "
+                f"cannot: {', '.join(batch.labels)}; leave the gel out."
+            )
+        paths = [response.path for response in search.responses]
+        return cls(search, search.fit(function_of_time(paths)))
+
+    @property
+    def paths(self) -> list[Path]:
+        """Trajectories of its shots."""
+        return [response.path for response in self.followed.responses]
+
+    def stress_along(self, path: Path) -> Tensor:
+        """Stress of its base model along the path of any shot."""
+        gel = self.search.base.prior.to_si(self.search.base.mean)
+        return self.search.shots[0].stress_along(path, gel)
+
+    def gather(
+        self, functions: Mapping[str, Columns], effects: Sequence[Effect]
+    ) -> "GelProducts":
+        """What all hypotheses need of the gel."""
+        state = self.followed.state
+        shots = self.search.shots
+        empty = tuple(zeros(2 * shot.batch.times.shape[1]) for shot in shots)
+        seen = replace(state, made=empty, inside=False)
+        parts = []
+        for name, columns in functions.items():
+            pairs = enumerate(zip(shots, self.followed.responses, strict=True))
+            made = tuple(columns(number, *pair) for number, pair in pairs)
+            at = seen if name == CAMERA else state
+            parts.append(self.search.assemble(at, self.followed.responses, made).unknown)
+        system = self.followed.system
+        by_effect = [
+            shot.respond_to_effects(state.gel, nuisances, pressure, effects)
+            for shot, nuisances, pressure in zip(
+                shots, state.nuisances, state.made, strict=True
+            )
+        ]
+        rows = torch.cat(by_effect, 1).mT
+        missing = len(system.residual) - len(rows)
+        parts.append(torch.nn.functional.pad(rows, (0, 0, 0, missing)))
+        everything = (system.fitted, system.unknown, *parts, system.residual[:, None])
+        widths = tuple(part.shape[1] for part in everything)
+        whole = torch.cat(everything, 1)
+        return GelProducts(whole.mT @ whole, widths, tuple(functions).index(MATERIAL))
+
+
+@dataclass(frozen=True)
+class GelProducts:
+    """Inner products of all columns of one gel: gel and nuisances, the shots' own pressures, functions,
+    effects, the residual.
+
+    Args:
+        products: of any two of them.
+        widths: of these parts.
+        own: number of the function that a gel may have beside a common cause.
+    """
+
+    products: Float[Tensor, "columns columns"]
+    widths: tuple[int, ...]
+    own: int
+
+    @cached_property
+    def table(self) -> tuple[Tensor, Tensor]:
+        """What is left of the products of causes and residual, and the log evidence without a cause,
+        by size of the shots' own pressures and of the gel's own stress: ``8 x 8``, zero first.
+        """
+        numbers = torch.arange(len(self.products)).split(self.widths)
+        fitted, drive, own = numbers[0], numbers[1], numbers[2 + self.own]
+        beside = torch.cat((fitted, drive, own))
+        causes = torch.cat(numbers[2:])
+        free = tensor([0.0] * len(fitted) + [1.0] * (len(beside) - len(fitted)))
+        left = []
+        logs = []
+        for size in (0.0, *SIZES):
+            for own_size in (0.0, *SIZES):
+                scale = free.clone()
+                scale[: len(fitted)] = 1.0
+                scale[len(fitted) : len(fitted) + len(drive)] *= size
+                scale[len(fitted) + len(drive) :] *= own_size
+                precision = scale[:, None] * self.products[beside][:, beside] * scale
+                chol = torch.linalg.cholesky(precision + free.diag())
+                cross = scale[:, None] * self.products[beside][:, causes]
+                seen = torch.linalg.solve_triangular(chol, cross, upper=False)
+                rest = self.products[causes][:, causes] - seen.mT @ seen
+                left.append(rest)
+                logs.append(-0.5 * rest[-1, -1] - chol.diagonal().log().sum())
+        shape = (1 + len(SIZES), -1)
+        return torch.stack(left).unflatten(0, shape), torch.stack(logs).unflatten(0, shape)
+
+
+@dataclass(frozen=True)
+class Causes:
+    """The causes that gels may have, and the evidence of each.
+
+    Args:
+        functions: kind -> number of its weights.
+        effects: of the library.
+    """
+
+    functions: dict[str, int]
+    effects: Sequence[Effect]
+
+    @property
+    def names(self) -> list[str]:
+        """Functions first."""
+        return [*self.functions, *(effect.name for effect in self.effects)]
+
+    @property
+    def log_prior(self) -> Float[Tensor, "causes"]:
+        """Half for functions, half for effects."""
+        counts = [len(self.functions)] * len(self.functions)
+        counts += [len(self.effects)] * len(self.effects)
+        return -(tensor(counts) * (1 + bool(self.effects))).log()
+
+    @cached_property
+    def grids(self) -> list[ValueGrid]:
+        """Over the strength of each effect."""
+        return [ValueGrid(effect.strength, nodes=2001) for effect in self.effects]
+
+    def likelihoods(
+        self, left: Float[Tensor, "*batch columns columns"], number: int
+    ) -> Float[Tensor, "*batch shapes 2"]:
+        """Of the strength of an effect, SI, for each of its shapes."""
+        counts = [len(effect.shapes) for effect in self.effects]
+        begin = sum(self.functions.values()) + sum(counts[:number])
+        place = slice(begin, begin + counts[number])
+        sd = self.effects[number].strength.sd
+        squares = left.diagonal(dim1=-2, dim2=-1)[..., place]
+        return torch.stack((-0.5 * squares / sd**2, left[..., place, -1] / sd), -1)
+
+    def quantiles(self, left: Float[Tensor, "columns columns"], number: int) -> list[float]:
+        """5, 50 and 95 % quantiles of the strength of an effect, by its most probable shape."""
+        likelihoods = self.likelihoods(left, number)
+        best = int(self.grids[number].log_evidence(likelihoods).argmax())
+        return self.grids[number].quantiles(likelihoods[best], tensor(LEVELS)).tolist()
+
+    def weigh(
+        self, left: Float[Tensor, "*batch columns columns"]
+    ) -> Float[Tensor, "*batch causes"]:
+        """Log evidence of each cause over none, averaged over sizes or shapes, nats."""
+        logs = []
+        begin = 0
+        squares = tensor(SIZES).square()[:, None]
+        for width in self.functions.values():
+            place = slice(begin, begin + width)
+            values, axes = torch.linalg.eigh(left[..., place, place])
+            along = (left[..., None, place, -1] @ axes).square()
+            spread = 1.0 + squares * values.clamp_min(0.0)[..., None, :]
+            gains = 0.5 * (squares * along / spread - spread.log()).sum(-1)
+            logs.append(gains.logsumexp(-1) - math.log(len(SIZES)))
+            begin += width
+        for number, grid in enumerate(self.grids):
+            found = grid.log_evidence(self.likelihoods(left, number))
+            logs.append(found.logsumexp(-1) - math.log(found.shape[-1]))
+        return torch.stack(logs, -1)
+
+
+def compare_unknowns(
+    gels: Sequence[FollowedGel], effects: Sequence[Effect] = ()
+) -> CommonUnknown:
+    """Whether what several gels miss is common to them.
+
+    Args:
+        gels: with one base model.
+        effects: of the library, that may be common or a gel's own as well.
+
+    Raises:
+        InputDataError: for fewer than two gels.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, wide_prior
+    >>> from imr_torch.gap.fits import fit_null
+    >>> from imr_torch.gap.hypotheses import Inquiry
+    >>> from imr_torch.material import PARAMETERS
+    >>> from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
+    >>> from imr_torch.unknown import FollowedGel, compare_unknowns
+    >>> simulator, prior = PolytropicSimulator(), wide_prior(["nhkv"])["nhkv"]
+    >>> gels = []
+    >>> for number, modulus in enumerate((6e3, 1e4)):
+    ...     truth = PARAMETERS.pack({"G": modulus, "mu": 0.1})
+    ...     laboratory = SimulatedLaboratory(simulator, truth, repeats=10)
+    ...     shot = laboratory.shoot(torch.tensor([300.0, 0.2], dtype=torch.float64), seed=number)
+    ...     batch = ExperimentBatch((shot,))
+    ...     fit = fit_null(Inquiry(prior, batch, simulator), seed=0)
+    ...     gels.append(FollowedGel.follow(fit, batch, simulator))
+    >>> compare_unknowns(gels).probabilities["own"] < 0.5
+    True
+    """
+    if len(gels) < 2:
+        raise InputDataError(
+            f"What is common is asked of {len(gels)} gel; give two or more."
+        )
+    paths = [path for gel in gels for path in gel.paths]
+
+    def usual_stress(path: Path) -> Tensor:
+        each = [gel.stress_along(path) for gel in gels]
+        return torch.stack(each).square().mean(0).sqrt()
+
+    functions: dict[str, Columns] = {
+        MATERIAL: function_of_state(material_state, usual_stress, paths),
+        "contents": function_of_state(contents_state, attrgetter("contents"), paths),
+        "sample": flux_kernel(),
+        CAMERA: camera_errors,
+    }
+    gathered = [gel.gather(functions, effects) for gel in gels]
+    widths = gathered[0].widths[2 : 2 + len(functions)]
+    causes = Causes(dict(zip(functions, widths, strict=True)), effects)
+    lefts = [gel.table[0] for gel in gathered]
+    base = torch.stack([gel.table[1] for gel in gathered])
+    together = sum(lefts[1:], lefts[0])
+    common = base.sum(0)[..., None] + causes.weigh(together)
+    alone = base[:, :, 0, None] + torch.stack([causes.weigh(x[:, 0]) for x in lefts])
+    prior = causes.log_prior
+    without = base.sum(0)[:, 0]
+    logs = {
+        "nothing": without[0],
+        "shots": _average(without[1:]),
+        "own": _average((alone + prior).logsumexp(-1).sum(0)),
+        "both": _average((common[:, 1:] + prior).logsumexp(-1)),
+        "one": _average((common[:, 0] + prior).logsumexp(-1)),
+    }
+    shares = torch.stack(list(logs.values())).softmax(0).tolist()
+    each = {
+        "own": _average(alone.sum(0)),
+        "one": _average(common[:, 0]),
+        "both": _average(common[:, 1:].flatten(0, 1)),
+    }
+    led = (torch.stack((each["one"], each["both"])).logsumexp(0) + prior).softmax(0)
+    nats = {name: each[name] - _average(without) for name in each}
+    found = []
+    for place in led.argsort(descending=True).tolist():
+        number = place - len(functions)
+        at = divmod(int(common[..., place].argmax()), common.shape[1])
+        intervals = [
+            causes.quantiles(x[at], number) if number >= 0 else []
+            for x in (together, *lefts)
+        ]
+        found.append(
+            CommonCause(
+                causes.names[place],
+                float(led[place]),
+                {name: float(own[place]) for name, own in nats.items()},
+                intervals[0],
+                intervals[1:] if number >= 0 else [],
+            )
+        )
+    return CommonUnknown(dict(zip(logs, shares, strict=True)), tuple(found))
+
+
+def _average(logs: Float[Tensor, "nodes *batch"]) -> Float[Tensor, "*batch"]:
+    """Log of the mean along the first axis."""
+    return logs.logsumexp(0) - math.log(len(logs))
