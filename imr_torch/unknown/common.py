@@ -141,30 +141,43 @@ class FollowedGel:
     def gather(
         self, functions: Mapping[str, Columns], effects: Sequence[Effect]
     ) -> "GelProducts":
-        """What all hypotheses need of the gel."""
+        """What all hypotheses need of the gel; an effect that leads is taken out of it."""
         state = self.followed.state
         shots = self.search.shots
+        responses = self.followed.responses
+        system = self.followed.system
+        own = tuple(self.search.base.prior.names)
+        led = [effect for effect in effects if effect.names[0] in own][:1]
+        values = dict(zip(own, self.search.base.prior.physical(state.gel), strict=True))
+        held = [(effect, [float(values[n]) for n in effect.names[1:]]) for effect in led]
+        tried = [(effect, shape) for effect in effects for shape in effect.shapes]
+        at = zip(shots, state.nuisances, state.made, strict=True)
+        changes = [
+            shot.respond_to_effects(state.gel, *one, [*tried, *held]) for shot, *one in at
+        ]
+        rows = torch.cat(changes, 1).mT
+        rows = torch.nn.functional.pad(rows, (0, 0, 0, len(system.residual) - len(rows)))
+        residual = system.residual
+        kept = torch.ones(len(residual), dtype=torch.bool)
+        for effect in led:
+            strength = float(values[effect.names[0]]) / effect.strength.sd
+            residual = residual + strength * rows[:, len(tried)]
+            places = [own.index(name) for name in effect.names]
+            kept[[len(residual) - system.fitted.shape[1] + place for place in places]] = (
+                False
+            )
+        columns = kept[-system.fitted.shape[1] :]
         empty = tuple(zeros(2 * shot.batch.times.shape[1]) for shot in shots)
         seen = replace(state, made=empty, inside=False)
-        parts = []
-        for name, columns in functions.items():
-            pairs = enumerate(zip(shots, self.followed.responses, strict=True))
-            made = tuple(columns(number, *pair) for number, pair in pairs)
-            at = seen if name == CAMERA else state
-            parts.append(self.search.assemble(at, self.followed.responses, made).unknown)
-        system = self.followed.system
-        by_effect = [
-            shot.respond_to_effects(state.gel, nuisances, pressure, effects)
-            for shot, nuisances, pressure in zip(
-                shots, state.nuisances, state.made, strict=True
-            )
-        ]
-        rows = torch.cat(by_effect, 1).mT
-        missing = len(system.residual) - len(rows)
-        parts.append(torch.nn.functional.pad(rows, (0, 0, 0, missing)))
-        everything = (system.fitted, system.unknown, *parts, system.residual[:, None])
-        widths = tuple(part.shape[1] for part in everything)
-        whole = torch.cat(everything, 1)
+        parts = [system.fitted[:, columns], system.unknown]
+        for name, make in functions.items():
+            pairs = enumerate(zip(shots, responses, strict=True))
+            made = tuple(make(number, *pair) for number, pair in pairs)
+            begin = seen if name == CAMERA else state
+            parts.append(self.search.assemble(begin, responses, made).unknown)
+        parts += [rows[:, : len(tried)], residual[:, None]]
+        whole = torch.cat(parts, 1)[kept]
+        widths = tuple(part.shape[1] for part in parts)
         return GelProducts(whole.mT @ whole, widths, tuple(functions).index(MATERIAL))
 
 
@@ -340,7 +353,7 @@ def compare_unknowns(
         "nothing": without[0],
         "shots": _average(without[1:]),
         "own": _average((alone + prior).logsumexp(-1).sum(0)),
-        "both": _average((common[:, 1:] + prior).logsumexp(-1)),
+        "both": _average((common[:, 1:] + prior).logsumexp(-1).flatten()),
         "one": _average((common[:, 0] + prior).logsumexp(-1)),
     }
     shares = torch.stack(list(logs.values())).softmax(0).tolist()

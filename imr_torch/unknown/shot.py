@@ -208,25 +208,26 @@ class Shot:
         gel: Controls,
         nuisances: Float[Tensor, "nuisances"],
         pressure: Float[Tensor, "pulses"],
-        effects: Sequence[Effect],
+        effects: Sequence[tuple[Effect, Sequence[float]]],
         *,
         step: float = 0.05,
-    ) -> Float[Tensor, "columns frames"]:
-        """Whitened changes of the curve under a pressure, per prior standard deviation of the
-        strength of each effect: one for each :attr:`~imr_torch.material.Effect.shapes`.
+    ) -> Float[Tensor, "effects frames"]:
+        """Whitened changes of the curve under a pressure by effects, each with values of its other
+        parameters, per prior standard deviation of its strength.
         """
         parameters = self.prior.to_si(gel)
         moved = [parameters]
-        for effect in effects:
-            for shape in effect.shapes:
-                row = parameters.clone()
-                values = (step * effect.strength.sd, *shape)
-                row[PARAMETERS.index(effect.names)] = tensor(values)
-                moved.append(row)
+        for effect, shape in effects:
+            strength, *others = PARAMETERS.index(effect.names)
+            row = parameters.clone()
+            row[others] = tensor(shape)
+            further = row.clone()
+            further[strength] += step * effect.strength.sd
+            moved += [row, further]
         shifts = nuisances[None] * self.batch.nuisance_sds
         simulator = self.driven(pressure)
         curves = predict(simulator, torch.stack(moved), self.batch, shifts, bundled=True)
-        changes = (curves[1:, 0] - curves[:1, 0]) / step
+        changes = (curves[2::2, 0] - curves[1::2, 0]) / step
         return self.whiten(changes.nan_to_num(), curves[0, 0])
 
     def reread(self, errors: Float[Tensor, "twice_frames"]) -> "Shot":
