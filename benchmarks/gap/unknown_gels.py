@@ -62,9 +62,9 @@ TRUTHS: dict[str, tuple[tuple[str, ...], tuple[float, float]]] = {
 """What acts -> effects that it is drawn from, and how many sd of it a refit of a gel leaves."""
 
 RIGHT = {"nothing": {"none"}, "shots' own pulses": {"none"}}
-RIGHT |= {name: {"one", "common"} for name in TRUTHS if name.startswith("one")}
-RIGHT |= {name: {"own"} for name in TRUTHS if name.startswith("own")}
-VERDICTS = ("none", "own", "common", "both", "one", "undecided")
+RIGHT |= {name: {"one", "both", "common"} for name in TRUTHS if name.startswith("one")}
+RIGHT |= {name: {"own", "law", "gels"} for name in TRUTHS if name.startswith("own")}
+VERDICTS = ("none", "gels", "law", "own", "common", "both", "one", "undecided")
 
 
 def make_laboratory(
@@ -91,7 +91,7 @@ def make_laboratory(
             if sizes[1] < 2.0 * sizes[0] or sizes[2] < 2.0 * sizes[1]:
                 continue
         made = []
-        for n in range(3 * tries + 1):
+        for _ in range(3 * tries + 1):
             if len(made) == 3:
                 return [x for x, _ in made], [acts for _, acts in made]
             gel = {name: draw_log_uniform(bounds, source) for name, bounds in GEL.items()}
@@ -159,7 +159,11 @@ def write_scores(lines: list[Line]) -> str:
         said = [x["verdict"] for x in own]
         wrong = sum(verdict not in right | {"undecided"} for verdict in said)
         counts = [said.count(name) for name in VERDICTS]
-        sure = [x for x in own if x["verdict"] in ("one", "common") and not x["withheld"]]
+        sure = [
+            x
+            for x in own
+            if x["verdict"] in ("one", "both", "common") and not x["withheld"]
+        ]
         names = sum(x["causes"][0]["name"] in effects_of(x) for x in sure)
         rows.append((kind, len(own), *counts, wrong, f"{names} of {len(sure)}"))
     head = ("in truth", "laboratories", *VERDICTS, "wrong", "named")

@@ -3,14 +3,15 @@
 Each gel's curves are followed by a bubble that feels a pressure of its own in each shot. About these
 trajectories the curves are linear in everything that may be missing: the weights of an unknown
 function (stress, contents, sample, camera) and the strength of an effect of the library, both called
-causes here. Five hypotheses are weighed in closed form, each with gel and nuisances of each gel's own,
-and from the second on with a pressure of each shot's own, of unknown size, beside:
+causes here. Hypotheses are weighed in closed form, each with gel and nuisances of each gel's own, and
+from the second on with a pressure of each shot's own, of unknown size, beside:
 
 - *nothing* is missing;
 - *shots*: nothing but that pressure;
-- *own*: a cause in each gel, of its own name and with weights of its own;
-- *one*: one cause with the same weights in all gels;
-- *both*: the same, and a stress of each gel's own beside.
+- *own*: a cause in each gel, of its own name and size, alone or beside a stress of the gel's own;
+- *law*: one stress, or one strength of an effect of the gel, in all gels;
+- *one*: one cause that is not the gel's (contents, sample, liquid, camera), the same in all gels;
+- *both*: the same beside a stress of each gel's own.
 
 Half of the prior of a cause is for the functions, half for the effects. What a linear step cannot
 follow looks like each gel's own.
@@ -28,7 +29,7 @@ from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.errors import InputDataError
-from imr_torch.float64 import tensor, zeros
+from imr_torch.float64 import eye, tensor, zeros
 from imr_torch.material import Effect
 from imr_torch.material.model_belief import LEVELS
 from imr_torch.observe import ExperimentBatch
@@ -60,17 +61,16 @@ class CommonCause:
     Args:
         name: a kind of function, or an effect of the library.
         probability: that it is the common one, if one is.
-        log_evidences: ``"own"``, ``"one"`` and ``"both"`` -> log evidence over no cause, nats, where
-            all gels have a cause of this name.
-        interval: 5, 50 and 95 % quantiles of one strength for all gels, SI; empty for a function.
-        alone: the same of each gel by itself.
+        nats: by which ``"one"`` of this name in all gels, or ``"own"`` ones, explain the curves
+            better than none, at the most probable sizes of all else.
+        intervals: 5, 50 and 95 % quantiles of its strength, SI, of one for all gels and then by each
+            gel alone; empty for a function.
     """
 
     name: str
     probability: float
-    log_evidences: dict[str, float]
-    interval: list[float]
-    alone: list[list[float]]
+    nats: dict[str, float]
+    intervals: list[list[float]]
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,7 @@ class CommonUnknown:
     """What is missing in several gels.
 
     Args:
-        probabilities: ``"nothing"``, ``"shots"``, ``"own"``, ``"both"`` and ``"one"`` -> probability;
-            equally probable before.
+        probabilities: hypothesis -> probability; equally probable before.
         causes: the most probable common one first.
     """
 
@@ -88,13 +87,17 @@ class CommonUnknown:
 
     @property
     def verdict(self) -> str:
-        """The hypothesis with a probability of .95 or more, ``"none"`` where no cause has it, or
-        ``"common"`` where one cause has it, whether or not gels miss something of their own beside;
+        """Of what has a probability of .95 or more the most that can be said: ``"one"``, ``"both"``,
+        ``"own"`` or ``"law"``; ``"common"`` (one or both) or ``"gels"`` (own or law); ``"none"``;
         else ``"undecided"``.
         """
         p = self.probabilities
-        likely = p | {"none": p["nothing"] + p["shots"], "common": p["one"] + p["both"]}
-        names = ("one", "both", "own", "none", "common")
+        likely = p | {
+            "common": p["one"] + p["both"],
+            "gels": p["own"] + p["law"],
+            "none": p["nothing"] + p["shots"],
+        }
+        names = ("one", "both", "own", "law", "common", "gels", "none")
         return next((name for name in names if likely[name] >= CLEAR), "undecided")
 
 
@@ -215,7 +218,7 @@ class GelProducts:
                 scale[len(fitted) : len(fitted) + len(drive)] *= size
                 scale[len(fitted) + len(drive) :] *= own_size
                 precision = scale[:, None] * self.products[beside][:, beside] * scale
-                chol = torch.linalg.cholesky(precision + free.diag())
+                chol = _cholesky(precision + free.diag())
                 cross = scale[:, None] * self.products[beside][:, causes]
                 seen = torch.linalg.solve_triangular(chol, cross, upper=False)
                 rest = self.products[causes][:, causes] - seen.mT @ seen
@@ -242,12 +245,13 @@ class Causes:
         """Functions first."""
         return [*self.functions, *(effect.name for effect in self.effects)]
 
-    @property
-    def log_prior(self) -> Float[Tensor, "causes"]:
-        """Half for functions, half for effects."""
-        counts = [len(self.functions)] * len(self.functions)
-        counts += [len(self.effects)] * len(self.effects)
-        return -(tensor(counts) * (1 + bool(self.effects))).log()
+    def log_prior(self, *, of_gel: bool | None = None) -> Float[Tensor, "causes"]:
+        """Half for functions, half for effects; of those of the gel alone, or of the others."""
+        shares = [1.0 / len(self.functions)] * len(self.functions)
+        shares += [1.0 / len(self.effects)] * len(self.effects)
+        places = [*self.functions, *(effect.place for effect in self.effects)]
+        kept = [of_gel in (None, place == MATERIAL) for place in places]
+        return (tensor(shares) * tensor(kept)).log().log_softmax(0)
 
     @cached_property
     def grids(self) -> list[ValueGrid]:
@@ -344,46 +348,104 @@ def compare_unknowns(
     causes = Causes(dict(zip(functions, widths, strict=True)), effects)
     lefts = [gel.table[0] for gel in gathered]
     base = torch.stack([gel.table[1] for gel in gathered])
-    together = sum(lefts[1:], lefts[0])
-    common = base.sum(0)[..., None] + causes.weigh(together)
-    alone = base[:, :, 0, None] + torch.stack([causes.weigh(x[:, 0]) for x in lefts])
-    prior = causes.log_prior
-    without = base.sum(0)[:, 0]
+    alone = torch.stack([causes.weigh(left) for left in lefts])
+    own = base + torch.stack(
+        (zeros(*base.shape), (alone + causes.log_prior()).logsumexp(-1))
+    ).logsumexp(0)
+    beside = torch.stack((own[..., 0], _average(own[..., 1:], -1)))
+    found = {
+        name: _share(lefts, base, causes, part, of_gel=name == "law")
+        for name, part in (
+            ("law", slice(1)),
+            ("one", slice(1)),
+            ("both", slice(1, None)),
+        )
+    }
     logs = {
-        "nothing": without[0],
-        "shots": _average(without[1:]),
-        "own": _average((alone + prior).logsumexp(-1).sum(0)),
-        "both": _average((common[:, 1:] + prior).logsumexp(-1).flatten()),
-        "one": _average((common[:, 0] + prior).logsumexp(-1)),
+        "nothing": base[:, 0, 0].sum(),
+        "shots": _average(base[..., 0], 1).sum(),
+        "own": (_average(_average(beside, 0), 1) - math.log(2.0)).sum(),
+        **{name: log for name, (log, _) in found.items()},
     }
     shares = torch.stack(list(logs.values())).softmax(0).tolist()
-    each = {
-        "own": _average(alone.sum(0)),
-        "one": _average(common[:, 0]),
-        "both": _average(common[:, 1:].flatten(0, 1)),
-    }
-    led = (torch.stack((each["one"], each["both"])).logsumexp(0) + prior).softmax(0)
-    nats = {name: each[name] - _average(without) for name in each}
-    found = []
+    likeliest = max(found, key=lambda name: float(found[name][0]))
+    places = found[likeliest][1]
+    chosen = [left[place] for left, place in zip(lefts, places, strict=True)]
+    together = sum(chosen[1:], chosen[0])
+    nats = {"one": causes.weigh(together), "own": causes.weigh(torch.stack(chosen)).sum(0)}
+    led = (nats["one"] + causes.log_prior()).softmax(0)
+    ranked = []
     for place in led.argsort(descending=True).tolist():
         number = place - len(functions)
-        at = divmod(int(common[..., place].argmax()), common.shape[1])
-        intervals = [
-            causes.quantiles(x[at], number) if number >= 0 else []
-            for x in (together, *lefts)
-        ]
-        found.append(
+        intervals: list[list[float]] = []
+        if number >= 0:
+            intervals = [causes.quantiles(x, number) for x in (together, *chosen)]
+        ranked.append(
             CommonCause(
                 causes.names[place],
                 float(led[place]),
-                {name: float(own[place]) for name, own in nats.items()},
-                intervals[0],
-                intervals[1:] if number >= 0 else [],
+                {name: float(each[place]) for name, each in nats.items()},
+                intervals,
             )
         )
-    return CommonUnknown(dict(zip(logs, shares, strict=True)), tuple(found))
+    return CommonUnknown(dict(zip(logs, shares, strict=True)), tuple(ranked))
 
 
-def _average(logs: Float[Tensor, "nodes *batch"]) -> Float[Tensor, "*batch"]:
-    """Log of the mean along the first axis."""
-    return logs.logsumexp(0) - math.log(len(logs))
+def _share(
+    lefts: Sequence[Float[Tensor, "drives owns columns columns"]],
+    base: Float[Tensor, "gels drives owns"],
+    causes: Causes,
+    part: slice,
+    *,
+    of_gel: bool,
+    sweeps: int = 3,
+) -> tuple[Tensor, list[tuple[int, int]]]:
+    """Log evidence of one cause in all gels, and the most probable sizes of each gel.
+
+    Gels depend on one another through the common cause alone: the sizes of each are set, and averaged
+    over, given those of the others.
+
+    Args:
+        lefts: of each gel, as of :attr:`GelProducts.table`.
+        base: log evidence of each without a cause.
+        causes: that may be common.
+        part: sizes of the gels' own stresses.
+        of_gel: whether the cause is one of the gel, or none of it.
+        sweeps: over all gels, at most.
+    """
+    prior = causes.log_prior(of_gel=of_gel)
+    tables = [left[:, part].flatten(0, 1) for left in lefts]
+    logs = base[:, :, part].flatten(1)
+    places = logs.argmax(1).tolist()
+    total = zeros(())
+    for _ in range(sweeps):
+        before = list(places)
+        total = zeros(())
+        for gel, table in enumerate(tables):
+            others = [j for j in range(len(tables)) if j != gel]
+            whole = sum((tables[j][places[j]] for j in others), table)
+            weighed = logs[gel] + (causes.weigh(whole) + prior).logsumexp(-1)
+            places[gel] = int(weighed.argmax())
+            total = total + _average(weighed, 0) - weighed.max()
+            if gel == len(tables) - 1:
+                total = total + weighed.max() + sum(logs[j, places[j]] for j in others)
+        if places == before:
+            break
+    first = part.start or 0
+    width = lefts[0][:, part].shape[1]
+    found = [divmod(place, width) for place in places]
+    return total, [(drive, first + own) for drive, own in found]
+
+
+def _cholesky(
+    matrix: Float[Tensor, "columns columns"], *, rounding: float = 1e-11
+) -> Float[Tensor, "columns columns"]:
+    """Cholesky factor where columns of other sizes and rounding may spoil the definiteness."""
+    root = matrix.diagonal().sqrt()
+    scaled = matrix / (root[:, None] * root) + rounding * eye(len(root))
+    return root[:, None] * torch.linalg.cholesky(scaled)
+
+
+def _average(logs: Float[Tensor, "*nodes"], axis: int) -> Float[Tensor, "*left"]:
+    """Log of the mean along an axis."""
+    return logs.logsumexp(axis) - math.log(logs.shape[axis])
