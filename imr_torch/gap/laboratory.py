@@ -6,14 +6,12 @@ The base model is fitted to each gel by itself; what is left of all is compared 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from operator import attrgetter
 
-from imr_torch.assimilate import ModelFit, SearchOptions
-from imr_torch.gap.adequacy import Adequacy
+from imr_torch.assimilate import SearchOptions
 from imr_torch.gap.diagnose import fit_base
 from imr_torch.gap.fits import fit_hypotheses
-from imr_torch.gap.hypotheses import Hypothesis, Inquiry
-from imr_torch.gap.verdict import NONE
+from imr_torch.gap.hypotheses import Hypothesis
 from imr_torch.material import Effect, ModelBelief
 from imr_torch.observe import Experiment
 from imr_torch.random import child
@@ -31,7 +29,7 @@ def compare_gels(
     effects: Sequence[Effect] | None = None,
     estimate_noise: bool = False,
     simulator: Simulator | None = None,
-    leads: int = 6,
+    leads: int = 4,
     seed: int = 0,
     progress: Progress = None,
 ) -> CommonUnknown:
@@ -44,7 +42,7 @@ def compare_gels(
         effects: that may be common, or a gel's own.
         estimate_noise: whether the noise of each gel is inferred.
         simulator: makes the bubbles.
-        leads: effects that are fitted to each gel, and those that are best of any gel to all, so
+        leads: effects of each gel that are fitted to all, those that the gap test finds first, so
             that trajectories follow the curves.
         seed: of the searches.
         progress: called with one line per step.
@@ -68,60 +66,38 @@ def compare_gels(
     >>> found.causes[0].name
     'size_drag'
     """
-    searches = []
+    fitted = []
+    ahead: dict[str, None] = {}
     for name, experiments in gels.items():
         if progress:
-            progress(ProgressLine(f"fits of {name}", stage="gels", step=name))
+            progress(ProgressLine(f"fit of {name}", stage="gels", step=name))
+        own = child(seed, name)
         null, inquiry = fit_base(
             experiments,
             base=base,
             effects=effects,
             estimate_noise=estimate_noise,
             simulator=simulator,
-            seed=child(seed, name),
+            seed=own,
         )
-        left = inquiry.test(null, Hypothesis(inquiry.base), seed=child(seed, name, "gap"))
-        searches.append(_GelSearch(inquiry, left, {NONE: null}))
-        ahead = [block.name for block in left.test.blocks if block.name in left.starts]
-        searches[-1].fit_effects(ahead[:leads] if left.test.found else [], seed=seed)
-    best = [search.best for search in searches]
+        left = inquiry.test(null, Hypothesis(inquiry.base), seed=own)
+        names = [block.name for block in left.test.blocks if block.name in left.starts]
+        ahead |= dict.fromkeys(names[: leads * left.test.found])
+        fitted.append((null, inquiry, left.starts))
+    options = SearchOptions(starts=2, iterations=30, basin_rounds=0)
     followed = []
-    for search in searches:
-        search.fit_effects(best, seed=seed)
-        inquiry = search.inquiry
-        fit = search.fits[search.best]
-        followed.append(FollowedGel.follow(fit, inquiry.batch, inquiry.simulator))
-    return compare_unknowns(followed, searches[0].inquiry.effects)
-
-
-@dataclass(frozen=True)
-class _GelSearch:
-    """A gel whose curves are to be followed: with an effect, a search may lead to collapses that none
-    reaches without.
-    """
-
-    inquiry: Inquiry
-    left: Adequacy
-    fits: dict[str, ModelFit]
-
-    @property
-    def best(self) -> str:
-        """Name of the fit of lowest cost."""
-        return min(self.fits, key=lambda name: self.fits[name].cost)
-
-    def fit_effects(self, names: Sequence[str], *, seed: int) -> None:
-        """Fit effects of these names that were not fitted yet."""
-        longer = self.inquiry.longer(Hypothesis(self.inquiry.base))
-        asked = [longer[name] for name in dict.fromkeys(names) if name not in self.fits]
-        options = SearchOptions(starts=2, iterations=30, basin_rounds=0)
-        self.fits.update(
-            fit_hypotheses(
-                self.inquiry,
-                asked,
-                self.fits[NONE],
-                seed=seed,
-                starts=self.left.starts,
-                options=options,
-                twice=0,
-            )
+    for name, (null, inquiry, starts) in zip(gels, fitted, strict=True):
+        if progress:
+            progress(ProgressLine(f"effects in {name}", stage="gels", step=name))
+        longer = inquiry.longer(Hypothesis(inquiry.base))
+        asked = [longer[effect] for effect in ahead]
+        fits = fit_hypotheses(
+            inquiry, asked, null, seed=seed, starts=starts, options=options, twice=0
         )
+        # with an effect, a search may lead to collapses that none reaches without
+        best = min((null, *fits.values()), key=attrgetter("cost"))
+        lead = next((x.effects[0] for x in asked if fits[x.name] is best), None)
+        followed.append(
+            FollowedGel.follow(best, inquiry.batch, inquiry.simulator, lead=lead)
+        )
+    return compare_unknowns(followed, fitted[0][1].effects)

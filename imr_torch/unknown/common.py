@@ -21,6 +21,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 from operator import attrgetter
 
 import torch
@@ -29,8 +30,8 @@ from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.errors import InputDataError
-from imr_torch.float64 import eye, tensor, zeros
-from imr_torch.material import Effect
+from imr_torch.float64 import tensor, zeros
+from imr_torch.material import PARAMETERS, Effect
 from imr_torch.material.model_belief import LEVELS
 from imr_torch.observe import ExperimentBatch
 from imr_torch.population.shared_value import ValueGrid
@@ -52,6 +53,7 @@ CLEAR = 0.95
 """Probability from which on a hypothesis is the verdict."""
 
 MATERIAL = "material"
+_SIZES = (0.0, *SIZES)
 
 
 @dataclass(frozen=True)
@@ -101,12 +103,18 @@ class CommonUnknown:
         return next((name for name in names if likely[name] >= CLEAR), "undecided")
 
 
+Table = tuple[Float[Tensor, "drives owns columns columns"], Float[Tensor, "drives owns"]]
+"""By size of the shots' own pressures and of the gel's own stress, zero first: what these, gel and
+nuisances leave of the inner products of all causes and, last, the residual; and the log evidence
+without a cause."""
+
+
 @dataclass(frozen=True)
 class FollowedGel:
     """A gel whose curves are followed by a pressure of each shot's own.
 
     Args:
-        search: the data and the base model's fit.
+        search: the data and the base model's fit, which may hold an effect at a fixed strength.
         followed: the fit of that pressure.
     """
 
@@ -115,13 +123,31 @@ class FollowedGel:
 
     @classmethod
     def follow(
-        cls, fit: ModelFit, batch: ExperimentBatch, simulator: Simulator
+        cls,
+        fit: ModelFit,
+        batch: ExperimentBatch,
+        simulator: Simulator,
+        *,
+        lead: Effect | None = None,
     ) -> "FollowedGel":
-        """About a fit of the base model.
+        """About a fit of the base model, with an effect beside where one leads.
 
         Raises:
             InputDataError: where the bubbles cannot be simulated, or the data are not curves.
         """
+        if lead is not None:
+            prior = fit.prior
+            values = prior.to_si(fit.mean)[PARAMETERS.index(lead.names)].tolist()
+            known = dict(zip(lead.names, values, strict=True))
+            kept = [n for n, name in enumerate(prior.names) if name not in known]
+            held = replace(
+                prior,
+                marginals=tuple(prior.marginals[n] for n in kept),
+                mean=prior.mean[kept],
+                chol=prior.chol[kept][:, kept],
+                known=prior.known | known,
+            )
+            fit = replace(fit, prior=held, mean=fit.mean[kept])
         search = begin_search(fit, batch, simulator)
         if search is None:
             raise InputDataError(
@@ -131,100 +157,61 @@ class FollowedGel:
         paths = [response.path for response in search.responses]
         return cls(search, search.fit(function_of_time(paths)))
 
-    @property
-    def paths(self) -> list[Path]:
-        """Trajectories of its shots."""
-        return [response.path for response in self.followed.responses]
-
     def stress_along(self, path: Path) -> Tensor:
         """Stress of its base model along the path of any shot."""
         gel = self.search.base.prior.to_si(self.search.base.mean)
         return self.search.shots[0].stress_along(path, gel)
 
-    def gather(
-        self, functions: Mapping[str, Columns], effects: Sequence[Effect]
-    ) -> "GelProducts":
-        """What all hypotheses need of the gel; an effect that leads is taken out of it."""
+    def tabulate(
+        self,
+        functions: Mapping[str, Columns],
+        effects: Sequence[tuple[Effect, Sequence[float]]],
+    ) -> Table:
+        """What all hypotheses need of the gel; an effect that leads is taken out of the curves."""
         state = self.followed.state
         shots = self.search.shots
-        responses = self.followed.responses
         system = self.followed.system
-        own = tuple(self.search.base.prior.names)
-        led = [effect for effect in effects if effect.names[0] in own][:1]
-        values = dict(zip(own, self.search.base.prior.physical(state.gel), strict=True))
-        held = [(effect, [float(values[n]) for n in effect.names[1:]]) for effect in led]
-        tried = [(effect, shape) for effect in effects for shape in effect.shapes]
-        at = zip(shots, state.nuisances, state.made, strict=True)
-        changes = [
-            shot.respond_to_effects(state.gel, *one, [*tried, *held]) for shot, *one in at
-        ]
-        rows = torch.cat(changes, 1).mT
-        rows = torch.nn.functional.pad(rows, (0, 0, 0, len(system.residual) - len(rows)))
-        residual = system.residual
-        kept = torch.ones(len(residual), dtype=torch.bool)
-        for effect in led:
-            strength = float(values[effect.names[0]]) / effect.strength.sd
-            residual = residual + strength * rows[:, len(tried)]
-            places = [own.index(name) for name in effect.names]
-            kept[[len(residual) - system.fitted.shape[1] + place for place in places]] = (
-                False
-            )
-        columns = kept[-system.fitted.shape[1] :]
         empty = tuple(zeros(2 * shot.batch.times.shape[1]) for shot in shots)
         seen = replace(state, made=empty, inside=False)
-        parts = [system.fitted[:, columns], system.unknown]
-        for name, make in functions.items():
-            pairs = enumerate(zip(shots, responses, strict=True))
-            made = tuple(make(number, *pair) for number, pair in pairs)
+        parts = [system.fitted, system.unknown]
+        for name, columns in functions.items():
+            pairs = enumerate(zip(shots, self.followed.responses, strict=True))
+            made = tuple(columns(number, *pair) for number, pair in pairs)
             begin = seen if name == CAMERA else state
-            parts.append(self.search.assemble(begin, responses, made).unknown)
-        parts += [rows[:, : len(tried)], residual[:, None]]
-        whole = torch.cat(parts, 1)[kept]
-        widths = tuple(part.shape[1] for part in parts)
-        return GelProducts(whole.mT @ whole, widths, tuple(functions).index(MATERIAL))
-
-
-@dataclass(frozen=True)
-class GelProducts:
-    """Inner products of all columns of one gel: gel and nuisances, the shots' own pressures, functions,
-    effects, the residual.
-
-    Args:
-        products: of any two of them.
-        widths: of these parts.
-        own: number of the function that a gel may have beside a common cause.
-    """
-
-    products: Float[Tensor, "columns columns"]
-    widths: tuple[int, ...]
-    own: int
-
-    @cached_property
-    def table(self) -> tuple[Tensor, Tensor]:
-        """What is left of the products of causes and residual, and the log evidence without a cause,
-        by size of the shots' own pressures and of the gel's own stress: ``8 x 8``, zero first.
-        """
-        numbers = torch.arange(len(self.products)).split(self.widths)
-        fitted, drive, own = numbers[0], numbers[1], numbers[2 + self.own]
-        beside = torch.cat((fitted, drive, own))
-        causes = torch.cat(numbers[2:])
-        free = tensor([0.0] * len(fitted) + [1.0] * (len(beside) - len(fitted)))
+            parts.append(self.search.assemble(begin, self.followed.responses, made).unknown)
+        known = self.search.base.prior.known
+        led = [
+            (effect, [known[name] for name in effect.names[1:]])
+            for effect, _ in effects
+            if set(effect.names) <= set(known)
+        ][:1]
+        at = zip(shots, state.nuisances, state.made, strict=True)
+        changes = [
+            shot.respond_to_effects(state.gel, *one, [*effects, *led]) for shot, *one in at
+        ]
+        rows = torch.cat(changes, 1)
+        rows = torch.nn.functional.pad(rows, (0, len(system.residual) - rows.shape[1]))
+        residual = system.residual
+        for effect, _ in led:
+            residual = residual + known[effect.names[0]] / effect.strength.sd * rows[-1]
+        whole = torch.cat((*parts, rows[: len(effects)].mT, residual[:, None]), 1)
+        products = whole.mT @ whole
+        counts = torch.tensor([part.shape[1] for part in parts[:3]])
+        free = tensor([0.0, 1.0, 1.0]).repeat_interleave(counts)
+        beside = len(free)
+        first = int(counts[:2].sum())  # the stress is a cause as well
         left = []
         logs = []
-        for size in (0.0, *SIZES):
-            for own_size in (0.0, *SIZES):
-                scale = free.clone()
-                scale[: len(fitted)] = 1.0
-                scale[len(fitted) : len(fitted) + len(drive)] *= size
-                scale[len(fitted) + len(drive) :] *= own_size
-                precision = scale[:, None] * self.products[beside][:, beside] * scale
-                chol = _cholesky(precision + free.diag())
-                cross = scale[:, None] * self.products[beside][:, causes]
-                seen = torch.linalg.solve_triangular(chol, cross, upper=False)
-                rest = self.products[causes][:, causes] - seen.mT @ seen
-                left.append(rest)
-                logs.append(-0.5 * rest[-1, -1] - chol.diagonal().log().sum())
-        shape = (1 + len(SIZES), -1)
+        for drive, own in product(_SIZES, repeat=2):
+            scale = tensor([1.0, drive, own]).repeat_interleave(counts)
+            cross = scale[:, None] * products[:beside]
+            precision = cross[:, :beside] * scale
+            rounding = 1e-11 * precision.diagonal()
+            chol = torch.linalg.cholesky(precision + (free + rounding).diag())
+            shown = torch.linalg.solve_triangular(chol, cross[:, first:], upper=False)
+            left.append(products[first:, first:] - shown.mT @ shown)
+            logs.append(-0.5 * left[-1][-1, -1] - chol.diagonal().log().sum())
+        shape = (len(_SIZES), -1)
         return torch.stack(left).unflatten(0, shape), torch.stack(logs).unflatten(0, shape)
 
 
@@ -233,66 +220,59 @@ class Causes:
     """The causes that gels may have, and the evidence of each.
 
     Args:
-        functions: kind -> number of its weights.
-        effects: of the library.
+        widths: kind of function -> number of its weights.
+        effects: of the library, each with values of its other parameters.
     """
 
-    functions: dict[str, int]
-    effects: Sequence[Effect]
+    widths: dict[str, int]
+    effects: Sequence[tuple[Effect, Sequence[float]]]
 
     @property
     def names(self) -> list[str]:
         """Functions first."""
-        return [*self.functions, *(effect.name for effect in self.effects)]
-
-    def log_prior(self, *, of_gel: bool | None = None) -> Float[Tensor, "causes"]:
-        """Half for functions, half for effects; of those of the gel alone, or of the others."""
-        shares = [1.0 / len(self.functions)] * len(self.functions)
-        shares += [1.0 / len(self.effects)] * len(self.effects)
-        places = [*self.functions, *(effect.place for effect in self.effects)]
-        kept = [of_gel in (None, place == MATERIAL) for place in places]
-        return (tensor(shares) * tensor(kept)).log().log_softmax(0)
+        return [*self.widths, *(effect.name for effect, _ in self.effects)]
 
     @cached_property
     def grids(self) -> list[ValueGrid]:
         """Over the strength of each effect."""
-        return [ValueGrid(effect.strength, nodes=2001) for effect in self.effects]
+        return [ValueGrid(effect.strength, nodes=2001) for effect, _ in self.effects]
+
+    def log_prior(self, *, of_gel: bool | None = None) -> Float[Tensor, "causes"]:
+        """Half for functions, half for effects; of those of the gel alone, or of the others."""
+        names = [effect.name for effect, _ in self.effects]
+        shares = [1.0 / len(self.widths)] * len(self.widths)
+        shares += [1.0 / len(set(names)) / names.count(name) for name in names]
+        places = [*self.widths, *(effect.place for effect, _ in self.effects)]
+        kept = [of_gel in (None, place == MATERIAL) for place in places]
+        return (tensor(shares) * tensor(kept)).log().log_softmax(0)
 
     def likelihoods(
-        self, left: Float[Tensor, "*batch columns columns"], number: int
-    ) -> Float[Tensor, "*batch shapes 2"]:
-        """Of the strength of an effect, SI, for each of its shapes."""
-        counts = [len(effect.shapes) for effect in self.effects]
-        begin = sum(self.functions.values()) + sum(counts[:number])
-        place = slice(begin, begin + counts[number])
-        sd = self.effects[number].strength.sd
-        squares = left.diagonal(dim1=-2, dim2=-1)[..., place]
-        return torch.stack((-0.5 * squares / sd**2, left[..., place, -1] / sd), -1)
-
-    def quantiles(self, left: Float[Tensor, "columns columns"], number: int) -> list[float]:
-        """5, 50 and 95 % quantiles of the strength of an effect, by its most probable shape."""
-        likelihoods = self.likelihoods(left, number)
-        best = int(self.grids[number].log_evidence(likelihoods).argmax())
-        return self.grids[number].quantiles(likelihoods[best], tensor(LEVELS)).tolist()
+        self, left: Float[Tensor, "*batch columns columns"]
+    ) -> Float[Tensor, "*batch effects 2"]:
+        """Of the strength of each effect, SI."""
+        place = slice(sum(self.widths.values()), -1)
+        sds = tensor([effect.strength.sd for effect, _ in self.effects])
+        squares = left.diagonal(dim1=-2, dim2=-1)[..., place] / sds.square()
+        return torch.stack((-0.5 * squares, left[..., place, -1] / sds), -1)
 
     def weigh(
         self, left: Float[Tensor, "*batch columns columns"]
     ) -> Float[Tensor, "*batch causes"]:
-        """Log evidence of each cause over none, averaged over sizes or shapes, nats."""
+        """Log evidence of each cause over none, functions averaged over their sizes, nats."""
         logs = []
         begin = 0
         squares = tensor(SIZES).square()[:, None]
-        for width in self.functions.values():
+        for width in self.widths.values():
             place = slice(begin, begin + width)
             values, axes = torch.linalg.eigh(left[..., place, place])
             along = (left[..., None, place, -1] @ axes).square()
             spread = 1.0 + squares * values.clamp_min(0.0)[..., None, :]
             gains = 0.5 * (squares * along / spread - spread.log()).sum(-1)
-            logs.append(gains.logsumexp(-1) - math.log(len(SIZES)))
+            logs.append(_average(gains, -1))
             begin += width
+        found = self.likelihoods(left)
         for number, grid in enumerate(self.grids):
-            found = grid.log_evidence(self.likelihoods(left, number))
-            logs.append(found.logsumexp(-1) - math.log(found.shape[-1]))
+            logs.append(grid.log_evidence(found[..., number, :]))
         return torch.stack(logs, -1)
 
 
@@ -331,7 +311,7 @@ def compare_unknowns(
         raise InputDataError(
             f"What is common is asked of {len(gels)} gel; give two or more."
         )
-    paths = [path for gel in gels for path in gel.paths]
+    paths = [response.path for gel in gels for response in gel.followed.responses]
 
     def usual_stress(path: Path) -> Tensor:
         each = [gel.stress_along(path) for gel in gels]
@@ -343,107 +323,81 @@ def compare_unknowns(
         "sample": flux_kernel(),
         CAMERA: camera_errors,
     }
-    gathered = [gel.gather(functions, effects) for gel in gels]
-    widths = gathered[0].widths[2 : 2 + len(functions)]
-    causes = Causes(dict(zip(functions, widths, strict=True)), effects)
-    lefts = [gel.table[0] for gel in gathered]
-    base = torch.stack([gel.table[1] for gel in gathered])
-    alone = torch.stack([causes.weigh(left) for left in lefts])
-    own = base + torch.stack(
-        (zeros(*base.shape), (alone + causes.log_prior()).logsumexp(-1))
-    ).logsumexp(0)
-    beside = torch.stack((own[..., 0], _average(own[..., 1:], -1)))
-    found = {
-        name: _share(lefts, base, causes, part, of_gel=name == "law")
-        for name, part in (
-            ("law", slice(1)),
-            ("one", slice(1)),
-            ("both", slice(1, None)),
-        )
+    tried = [(effect, shape) for effect in effects for shape in effect.shapes]
+    first, response = gels[0].search.shots[0], gels[0].followed.responses[0]
+    widths = {name: make(0, first, response).shape[1] for name, make in functions.items()}
+    causes = Causes(widths, tried)
+    tables = [gel.tabulate(functions, tried) for gel in gels]
+    base = torch.stack([logs for _, logs in tables])
+    alone = torch.stack([causes.weigh(left) for left, _ in tables]) + causes.log_prior()
+    own = base + torch.nn.functional.pad(alone, (1, 0)).logsumexp(-1)  # or none
+    own = torch.stack((own[..., 0], _average(own[..., 1:], -1)))
+    shared = {
+        name: _share(tables, causes, owns, of_gel=name == "law")
+        for name, owns in (("law", [0]), ("one", [0]), ("both", range(1, len(_SIZES))))
     }
     logs = {
         "nothing": base[:, 0, 0].sum(),
         "shots": _average(base[..., 0], 1).sum(),
-        "own": (_average(_average(beside, 0), 1) - math.log(2.0)).sum(),
-        **{name: log for name, (log, _) in found.items()},
+        "own": (_average(_average(own, 0), 1) - math.log(2.0)).sum(),
+        **{name: log for name, (log, _) in shared.items()},
     }
     shares = torch.stack(list(logs.values())).softmax(0).tolist()
-    likeliest = max(found, key=lambda name: float(found[name][0]))
-    places = found[likeliest][1]
-    chosen = [left[place] for left, place in zip(lefts, places, strict=True)]
-    together = sum(chosen[1:], chosen[0])
-    nats = {"one": causes.weigh(together), "own": causes.weigh(torch.stack(chosen)).sum(0)}
-    led = (nats["one"] + causes.log_prior()).softmax(0)
-    ranked = []
+    lefts = max(shared.values(), key=lambda item: float(item[0]))[1]
+    together = lefts.sum(0)
+    one = causes.weigh(together)
+    each = causes.weigh(lefts)
+    led = (one + causes.log_prior()).softmax(0)
+    strengths = causes.likelihoods(torch.cat((together[None], lefts)))
+    ranked: dict[str, CommonCause] = {}
     for place in led.argsort(descending=True).tolist():
+        name = causes.names[place]
         number = place - len(functions)
-        intervals: list[list[float]] = []
-        if number >= 0:
-            intervals = [causes.quantiles(x, number) for x in (together, *chosen)]
-        ranked.append(
-            CommonCause(
-                causes.names[place],
-                float(led[place]),
-                {name: float(each[place]) for name, each in nats.items()},
-                intervals,
-            )
-        )
-    return CommonUnknown(dict(zip(logs, shares, strict=True)), tuple(ranked))
+        intervals = [
+            causes.grids[number].quantiles(x[number], tensor(LEVELS)).tolist()
+            for x in strengths
+            if number >= 0
+        ]
+        nats = {"one": float(one[place]), "own": float(each[:, place].sum())}
+        ranked.setdefault(name, CommonCause(name, float(led[place]), nats, intervals))
+    return CommonUnknown(dict(zip(logs, shares, strict=True)), tuple(ranked.values()))
 
 
 def _share(
-    lefts: Sequence[Float[Tensor, "drives owns columns columns"]],
-    base: Float[Tensor, "gels drives owns"],
+    tables: Sequence[Table],
     causes: Causes,
-    part: slice,
+    owns: Sequence[int],
     *,
     of_gel: bool,
     sweeps: int = 3,
-) -> tuple[Tensor, list[tuple[int, int]]]:
-    """Log evidence of one cause in all gels, and the most probable sizes of each gel.
+) -> tuple[Tensor, Float[Tensor, "gels columns columns"]]:
+    """Log evidence of one cause in all gels, and what is left of each at its most probable sizes.
 
     Gels depend on one another through the common cause alone: the sizes of each are set, and averaged
     over, given those of the others.
 
     Args:
-        lefts: of each gel, as of :attr:`GelProducts.table`.
-        base: log evidence of each without a cause.
+        tables: of each gel.
         causes: that may be common.
-        part: sizes of the gels' own stresses.
+        owns: places of the sizes of the gels' own stresses.
         of_gel: whether the cause is one of the gel, or none of it.
-        sweeps: over all gels, at most.
+        sweeps: over all gels.
     """
     prior = causes.log_prior(of_gel=of_gel)
-    tables = [left[:, part].flatten(0, 1) for left in lefts]
-    logs = base[:, :, part].flatten(1)
-    places = logs.argmax(1).tolist()
+    lefts = torch.stack([left[:, owns].flatten(0, 1) for left, _ in tables])
+    logs = torch.stack([log[:, owns].flatten() for _, log in tables])
+    gels = torch.arange(len(tables))
+    places = logs.argmax(1)
     total = zeros(())
-    for _ in range(sweeps):
-        before = list(places)
-        total = zeros(())
-        for gel, table in enumerate(tables):
-            others = [j for j in range(len(tables)) if j != gel]
-            whole = sum((tables[j][places[j]] for j in others), table)
-            weighed = logs[gel] + (causes.weigh(whole) + prior).logsumexp(-1)
-            places[gel] = int(weighed.argmax())
-            total = total + _average(weighed, 0) - weighed.max()
-            if gel == len(tables) - 1:
-                total = total + weighed.max() + sum(logs[j, places[j]] for j in others)
-        if places == before:
-            break
-    first = part.start or 0
-    width = lefts[0][:, part].shape[1]
-    found = [divmod(place, width) for place in places]
-    return total, [(drive, first + own) for drive, own in found]
-
-
-def _cholesky(
-    matrix: Float[Tensor, "columns columns"], *, rounding: float = 1e-11
-) -> Float[Tensor, "columns columns"]:
-    """Cholesky factor where columns of other sizes and rounding may spoil the definiteness."""
-    root = matrix.diagonal().sqrt()
-    scaled = matrix / (root[:, None] * root) + rounding * eye(len(root))
-    return root[:, None] * torch.linalg.cholesky(scaled)
+    for gel in gels.repeat(sweeps):
+        others = gels[gels != gel]
+        whole = lefts[gel] + lefts[others, places[others]].sum(0)
+        weighed = logs[gel] + (causes.weigh(whole) + prior).logsumexp(-1)
+        places[gel] = weighed.argmax()
+        # of the last sweep: that of the mode, and of each gel what averaging loses
+        total = torch.where(gel == 0, 0.0, total) + _average(weighed, 0) - weighed.max()
+        joint = weighed.max() + logs[others, places[others]].sum()
+    return total + joint, lefts[gels, places]
 
 
 def _average(logs: Float[Tensor, "*nodes"], axis: int) -> Float[Tensor, "*left"]:
