@@ -35,7 +35,7 @@ from benchmarks.records import (
 )
 from imr_torch.errors import ConvergenceError
 from imr_torch.float64 import rand
-from imr_torch.gap import compare_gels, library
+from imr_torch.gap import FilmedGel, compare_gels, library
 from imr_torch.observe import Experiment
 from imr_torch.random import child, generator
 from imr_torch.simulate import fewer_steps
@@ -48,16 +48,16 @@ STRESSES = (
     "yield_stress",
 )
 TRUTHS: dict[str, tuple[tuple[str, ...], tuple[float, float]]] = {
-    "nothing": ((), (0.0, 1.0)),
-    "shots' own pulses": ((), (0.0, 1.0)),
     "one drag": (("size_drag",), (4.0, 15.0)),
-    "one strong drag": (("size_drag",), (15.0, 60.0)),
+    "own stresses": (STRESSES, (4.0, 40.0)),
+    "nothing": ((), (0.0, 1.0)),
     "one of gas or camera": (
         ("vapour_pressure", "hot_contents", "refraction", "energy_loss"),
         (4.0, 40.0),
     ),
-    "own stresses": (STRESSES, (4.0, 40.0)),
     "own strengths": ((*STRESSES, "size_drag"), (4.0, 40.0)),
+    "one strong drag": (("size_drag",), (15.0, 60.0)),
+    "shots' own pulses": ((), (0.0, 1.0)),
 }
 """What acts -> effects that it is drawn from, and how many sd of it a refit of a gel leaves."""
 
@@ -129,9 +129,8 @@ def infer_laboratory(kind: str, seed: int) -> Line:
     simulator = fewer_steps(Task("none", 2, 10, "polytropic", seed).simulator())
     started = time.process_time()
     found = compare_gels(
-        {f"gel {n}": experiments for n, experiments in enumerate(gels)},
+        {f"gel {n}": FilmedGel(own, simulator=simulator) for n, own in enumerate(gels)},
         effects=effects,
-        simulator=simulator,
         seed=seed,
     )
     return {
@@ -180,7 +179,9 @@ def main() -> None:
         lines = read_record(*args.files)
     else:
         kinds = tuple(TRUTHS)
-        asked = [(kinds[n % 7], args.seed + n // 7) for n in range(args.sets)]
+        asked = [
+            (kinds[n % len(kinds)], args.seed + n // len(kinds)) for n in range(args.sets)
+        ]
         jobs = {
             f"{kind}/{seed}": partial(infer_laboratory, kind, seed) for kind, seed in asked
         }

@@ -3,15 +3,23 @@
 import time
 from argparse import Namespace
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from imr_torch.characterization import medium_document, medium_of
-from imr_torch.cli.common import refuse_options, show_result, simulator_of, write_result
+from imr_torch.cli.common import (
+    refuse_options,
+    report_result,
+    show_result,
+    simulator_of,
+    write_result,
+)
 from imr_torch.cli.progress import diagnose_stages
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap import (
     Effect,
+    FilmedGel,
+    compare_gels,
     describe,
     diagnose,
     examine,
@@ -20,25 +28,39 @@ from imr_torch.gap import (
     medium_sensitivities,
     to_json,
 )
-from imr_torch.material import material, wide_prior
+from imr_torch.gap.document import laboratory_document
+from imr_torch.material import ModelBelief, material, wide_prior
 from imr_torch.observe import Experiment, GelMedium, TraceSet, load_traces, prepare
 from imr_torch.progress import ProgressLine
-from imr_torch.record import ALL_ALIKE, RecordOptions, describe_record
+from imr_torch.record import ALL_ALIKE, Record, RecordOptions, describe_record
 from imr_torch.simulate import Simulator
 
 _SET = ".npz"
 
 
-def run_command(args: Namespace) -> None:
-    """Check everything that was asked for, diagnose, report."""
-    started = time.perf_counter()
+@dataclass(frozen=True)
+class _Asked:
+    """What is asked of the files, checked."""
+
+    experiments: list[Experiment]
+    medium: GelMedium
+    simulator: Simulator
+    base: ModelBelief
+    effects: tuple[Effect, ...]
+    record: Record
+
+    @property
+    def gel(self) -> FilmedGel:
+        """Without what is the same for all gels."""
+        return FilmedGel(self.experiments, self.base, self.simulator)
+
+
+def _read_files(args: Namespace) -> _Asked:
+    """Check everything that was asked for, and read the files."""
     simulator = simulator_of(args)
     effects = _choose_effects(args)
     base = wide_prior((args.base,), known=args.known).models[0]
     experiments, medium, traces = _load_experiments(args, simulator)
-    simulator = medium.applied(simulator)
-    base = medium.believed_of(base)
-    effects = _beside_medium(effects, medium, args)
     if args.experiments is not None:
         experiments = _select_named(experiments, args.experiments, "--experiments")
     labels = [experiment.label for experiment in experiments]
@@ -48,7 +70,54 @@ def run_command(args: Namespace) -> None:
         medium.surroundings,
         options=ALL_ALIKE if args.count_all_shots else RecordOptions(),
     )
-    experiments = list(record.weighted(experiments))
+    return _Asked(
+        list(record.weighted(experiments)),
+        medium,
+        medium.applied(simulator),
+        medium.believed_of(base),
+        _beside_medium(effects, medium, args),
+        record,
+    )
+
+
+def _estimates_noise(args: Namespace) -> bool:
+    known_noise = "published" if args.files[0].lower().endswith(_SET) else "estimated"
+    return (args.noise or known_noise) == "estimated"
+
+
+def _compare_files(args: Namespace) -> None:
+    """Ask of gels, a file each, whether what they miss is common."""
+    started = time.perf_counter()
+    why = "has no effect beside --gels; leave one of them out."
+    refuse_options(args, ("experiments", "heldout", "most"), why)
+    names = [Path(file).stem for file in args.files]
+    if len(set(names)) < max(2, len(names)):
+        raise InputDataError(
+            f"--gels takes each file as a gel; got {', '.join(names)}: give two or more of "
+            "different names."
+        )
+    asked = [_read_files(Namespace(**vars(args) | {"files": [f]})) for f in args.files]
+    common = set.intersection(*({e.name for e in gel.effects} for gel in asked))
+    found = compare_gels(
+        {name: gel.gel for name, gel in zip(names, asked, strict=True)},
+        effects=[effect for effect in asked[0].effects if effect.name in common],
+        estimate_noise=_estimates_noise(args),
+        seed=args.seed,
+        progress=args.terminal,
+    )
+    document = laboratory_document(names, found)
+    args.command = "laboratory"
+    report_result(args, document | {"seconds": time.perf_counter() - started})
+
+
+def run_command(args: Namespace) -> None:
+    """Check everything that was asked for, diagnose, report."""
+    if args.gels:
+        _compare_files(args)
+        return
+    started = time.perf_counter()
+    asked = _read_files(args)
+    experiments, medium, simulator = asked.experiments, asked.medium, asked.simulator
     held_out = (
         []
         if args.heldout is None
@@ -59,13 +128,12 @@ def run_command(args: Namespace) -> None:
         raise InputDataError(
             f"--heldout leaves none of the {len(experiments)} experiments to fit; hold out fewer."
         )
-    known_noise = "published" if args.files[0].lower().endswith(_SET) else "estimated"
-    estimate_noise = (args.noise or known_noise) == "estimated"
+    estimate_noise = _estimates_noise(args)
     progress = args.terminal.plan_stages(diagnose_stages(estimate_noise=estimate_noise))
     report = diagnose(
         fitted,
-        base=base,
-        effects=effects,
+        base=asked.base,
+        effects=asked.effects,
         estimate_noise=estimate_noise,
         simulator=simulator,
         most=args.most,
@@ -77,7 +145,9 @@ def run_command(args: Namespace) -> None:
     assumed = (
         medium_sensitivities(fit, batch, simulator, medium) if report.converged else ()
     )
-    document = to_json(report, parts, simulator=simulator) | {"record": record.to_dict()}
+    document = to_json(report, parts, simulator=simulator) | {
+        "record": asked.record.to_dict()
+    }
     document |= medium_document(medium, assumed, fit.posterior)
     print(describe(document))
     args.gel_medium = medium

@@ -6,7 +6,7 @@ with sentences; the page shows the same list.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from operator import attrgetter
@@ -34,7 +34,7 @@ from imr_torch.material import LIBRARY, PARAMETERS
 from imr_torch.material.model_belief import intervals
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
-from imr_torch.unknown import Unknown
+from imr_torch.unknown import CommonUnknown, Unknown
 
 _ENTRIES = {
     GEL_SCATTER: "the gel differs between shots",
@@ -246,6 +246,26 @@ def _missing(found: Unknown) -> Document:
             }
             for shot in found.shots
         ],
+    }
+
+
+def laboratory_document(names: Sequence[str], found: CommonUnknown) -> Document:
+    """JSON-ready values of what several gels miss.
+
+    Args:
+        names: of the gels.
+        found: of :func:`imr_torch.gap.compare_gels`.
+
+    >>> from imr_torch.gap.document import laboratory_document
+    >>> from imr_torch.unknown import CommonUnknown
+    >>> laboratory_document(["a", "b"], CommonUnknown({"nothing": 0.97, "shots": 0.03}, ()))["verdict"]
+    'none'
+    """
+    return {
+        "gels": list(names),
+        "verdict": found.verdict,
+        "probabilities": found.probabilities,
+        "causes": list(map(vars, found.causes)),
     }
 
 

@@ -94,6 +94,31 @@ def gap_figures(document: Document) -> Iterator[NamedFigure]:
         yield name_figure("diagnose.parameters", plot_intervals, document)
 
 
+def laboratory_figures(document: Document) -> Iterator[NamedFigure]:
+    """What explains several gels (:func:`imr_torch.gap.document.laboratory_document`)."""
+    if shown := document["causes"][:8]:
+        yield name_figure("laboratory.causes", plot_common, shown, count=len(shown))
+
+
+def plot_common(causes: Sequence[Document]) -> Axes:
+    """By how much one cause in all gels, and the same of each gel's own, explain them."""
+    ax = new_axes((5.2, 0.9 + 0.3 * len(causes)))
+    places = np.arange(len(causes))
+    looks = (
+        ("own", SECOND, "s", "each gel its own"),
+        ("one", MODEL, "o", "one in all gels"),
+    )
+    for name, color, marker, label in looks:
+        nats = [cause["nats"][name] for cause in causes]
+        ax.plot(nats, places, marker, color=color, label=label)
+    ax.set_yticks(places, [plain(cause["name"]) for cause in causes])
+    ax.axvline(0.0, color=DATA, lw=0.8)
+    ax.invert_yaxis()
+    ax.set(xlabel="nats better than without")
+    add_legend(ax)
+    return ax
+
+
 def _strength(p_value: float) -> float:
     """How small a p-value is, in powers of ten."""
     return -math.log10(max(p_value, 10.0**-_SMALLEST))

@@ -6,12 +6,13 @@ The base model is fitted to each gel by itself; what is left of all is compared 
 """
 
 from collections.abc import Mapping, Sequence
-from operator import attrgetter
+from dataclasses import dataclass
 
 from imr_torch.assimilate import SearchOptions
 from imr_torch.gap.diagnose import fit_base
 from imr_torch.gap.fits import fit_hypotheses
 from imr_torch.gap.hypotheses import Hypothesis
+from imr_torch.gap.verdict import NONE
 from imr_torch.material import Effect, ModelBelief
 from imr_torch.observe import Experiment
 from imr_torch.random import child
@@ -21,29 +22,47 @@ from imr_torch.types import Progress, ProgressLine
 from imr_torch.unknown import CommonUnknown, FollowedGel, compare_unknowns
 
 
+@dataclass(frozen=True)
+class FilmedGel:
+    """A gel that is compared with others.
+
+    Args:
+        experiments: its data.
+        base: prior of the base model, as of :func:`imr_torch.gap.diagnose`.
+        simulator: makes the bubbles, likewise.
+
+    >>> from imr_torch.gap import FilmedGel
+    >>> FilmedGel([]).simulator is None
+    True
+    """
+
+    experiments: Sequence[Experiment]
+    base: ModelBelief | None = None
+    simulator: Simulator | None = None
+
+
 @one_torch_thread()
 def compare_gels(
-    gels: Mapping[str, Sequence[Experiment]],
+    gels: Mapping[str, FilmedGel],
     *,
-    base: ModelBelief | None = None,
     effects: Sequence[Effect] | None = None,
     estimate_noise: bool = False,
-    simulator: Simulator | None = None,
-    leads: int = 4,
+    leads: int = 3,
+    rounds: int = 3,
+    gain: float = 10.0,
     seed: int = 0,
     progress: Progress = None,
 ) -> CommonUnknown:
     """Ask whether what several gels miss is common to them.
 
     Args:
-        gels: name -> its experiments; of independent data.
-        base: prior of the base model of each gel; other arguments too as of
-            :func:`imr_torch.gap.diagnose`.
-        effects: that may be common, or a gel's own.
+        gels: name -> gel.
+        effects: that may be common, or a gel's own; all of the library by default.
         estimate_noise: whether the noise of each gel is inferred.
-        simulator: makes the bubbles.
-        leads: effects of each gel that are fitted to all, those that the gap test finds first, so
-            that trajectories follow the curves.
+        leads: effects of each gel that are fitted to all, so that trajectories follow the curves: at
+            first those that the gap test puts first, then those that explain it best about them.
+        rounds: of these, at most.
+        gain: nats that an effect must gain to lead.
         seed: of the searches.
         progress: called with one line per step.
 
@@ -52,7 +71,7 @@ def compare_gels(
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator
-    >>> from imr_torch.gap import compare_gels
+    >>> from imr_torch.gap import FilmedGel, compare_gels
     >>> from imr_torch.material import PARAMETERS, library
     >>> from imr_torch.observe import SimulatedLaboratory
     >>> simulator = PolytropicSimulator()
@@ -61,43 +80,60 @@ def compare_gels(
     ...     truth = PARAMETERS.pack({"G": modulus, "mu": 0.1, "size_drag": 5e6})  # one drag
     ...     laboratory = SimulatedLaboratory(simulator, truth, repeats=10)
     ...     design = torch.tensor([300.0, 0.2], dtype=torch.float64)
-    ...     gels[str(number)] = [laboratory.shoot(design, seed=number)]
-    >>> found = compare_gels(gels, effects=library(["size_drag", "refraction"]), simulator=simulator)
+    ...     gels[str(number)] = FilmedGel([laboratory.shoot(design, seed=number)], simulator=simulator)
+    >>> found = compare_gels(gels, effects=library(["size_drag", "refraction"]))
     >>> found.causes[0].name
     'size_drag'
     """
     fitted = []
-    ahead: dict[str, None] = {}
-    for name, experiments in gels.items():
+    ahead: list[str] = []
+    for name, gel in gels.items():
         if progress:
             progress(ProgressLine(f"fit of {name}", stage="gels", step=name))
         own = child(seed, name)
         null, inquiry = fit_base(
-            experiments,
-            base=base,
+            gel.experiments,
+            base=gel.base,
             effects=effects,
             estimate_noise=estimate_noise,
-            simulator=simulator,
+            simulator=gel.simulator,
             seed=own,
         )
         left = inquiry.test(null, Hypothesis(inquiry.base), seed=own)
         names = [block.name for block in left.test.blocks if block.name in left.starts]
-        ahead |= dict.fromkeys(names[: leads * left.test.found])
-        fitted.append((null, inquiry, left.starts))
+        ahead += names[: leads * left.test.found]
+        fitted.append((inquiry, left.starts, {NONE: null}))
     options = SearchOptions(starts=2, iterations=30, basin_rounds=0)
-    followed = []
-    for name, (null, inquiry, starts) in zip(gels, fitted, strict=True):
+    for _ in range(rounds):
         if progress:
-            progress(ProgressLine(f"effects in {name}", stage="gels", step=name))
-        longer = inquiry.longer(Hypothesis(inquiry.base))
-        asked = [longer[effect] for effect in ahead]
-        fits = fit_hypotheses(
-            inquiry, asked, null, seed=seed, starts=starts, options=options, twice=0
-        )
-        # with an effect, a search may lead to collapses that none reaches without
-        best = min((null, *fits.values()), key=attrgetter("cost"))
-        lead = next((x.effects[0] for x in asked if fits[x.name] is best), None)
-        followed.append(
-            FollowedGel.follow(best, inquiry.batch, inquiry.simulator, lead=lead)
-        )
-    return compare_unknowns(followed, fitted[0][1].effects)
+            progress(ProgressLine(f"effects {', '.join(ahead)}", stage="gels"))
+        followed = []
+        for inquiry, starts, fits in fitted:
+            longer = inquiry.longer(Hypothesis(inquiry.base))
+            asked = {name: longer[name] for name in ahead if name not in fits}
+            fits |= fit_hypotheses(
+                inquiry,
+                list(asked.values()),
+                fits[NONE],
+                seed=seed,
+                starts=starts,
+                options=options,
+                twice=0,
+            )
+            # with an effect, a search may lead to collapses that none reaches without
+            costs = {name: fit.cost + gain * (name != NONE) for name, fit in fits.items()}
+            best = min(costs, key=costs.__getitem__)
+            lead = longer[best].effects[0] if best != NONE else None
+            followed.append(
+                FollowedGel.follow(fits[best], inquiry.batch, inquiry.simulator, lead=lead)
+            )
+        found = compare_unknowns(followed, fitted[0][0].effects)
+        known = [cause for cause in found.causes if cause.intervals]
+        ahead = [
+            cause.name
+            for gel in range(len(gels))
+            for cause in sorted(known, key=lambda cause: -cause.nats["own"][gel])[:leads]
+        ]
+        if set(ahead) <= set(fitted[0][2]):
+            break
+    return found

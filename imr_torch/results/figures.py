@@ -12,7 +12,7 @@ from imr_torch.document import is_explained
 from imr_torch.drawing import NamedFigure, name_figure
 from imr_torch.errors import InputDataError, in_one_line
 from imr_torch.files import Document
-from imr_torch.gap.figures import gap_figures
+from imr_torch.gap.figures import gap_figures, laboratory_figures
 from imr_torch.labels import file_name
 from imr_torch.material import Belief, material
 from imr_torch.record.figures import record_figure
@@ -192,5 +192,6 @@ _FIGURES: dict[str, Callable[[Document], Iterable[NamedFigure]]] = {
     "simulate": lambda found: [name_figure("simulate.radius", radius_chart, found)],
     "batch": _shots_figures,
     "compare": _compared_figures,
+    "laboratory": laboratory_figures,
 }
 """Kind of a result -> its figures."""

@@ -26,6 +26,7 @@ TITLES = {
     "batch": "Summary of shots",
     "compare": "Two gels compared",
     "diagnose": "Where does the model fail?",
+    "laboratory": "Is what the gels miss common to them?",
 }
 """Results that have a report and a page, and the title of the page."""
 

@@ -63,7 +63,7 @@ class CommonCause:
     Args:
         name: a kind of function, or an effect of the library.
         probability: that it is the common one, if one is.
-        nats: by which ``"one"`` of this name in all gels, or ``"own"`` ones, explain the curves
+        nats: by which ``"one"`` of this name in all gels, or its ``"own"`` in each gel, explains
             better than none, at the most probable sizes of all else.
         intervals: 5, 50 and 95 % quantiles of its strength, SI, of one for all gels and then by each
             gel alone; empty for a function.
@@ -71,7 +71,7 @@ class CommonCause:
 
     name: str
     probability: float
-    nats: dict[str, float]
+    nats: dict[str, list[float]]
     intervals: list[list[float]]
 
 
@@ -358,7 +358,7 @@ def compare_unknowns(
             for x in strengths
             if number >= 0
         ]
-        nats = {"one": float(one[place]), "own": float(each[:, place].sum())}
+        nats = {"one": [float(one[place])], "own": each[:, place].tolist()}
         ranked.setdefault(name, CommonCause(name, float(led[place]), nats, intervals))
     return CommonUnknown(dict(zip(logs, shares, strict=True)), tuple(ranked.values()))
 
