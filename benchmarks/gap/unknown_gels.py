@@ -35,8 +35,10 @@ from benchmarks.records import (
 )
 from imr_torch.errors import ConvergenceError
 from imr_torch.float64 import rand
-from imr_torch.gap import FilmedGel, compare_gels, library
-from imr_torch.observe import Experiment
+from imr_torch.gap import compare_gels, library
+from imr_torch.gap.hypotheses import Inquiry
+from imr_torch.material import wide_prior
+from imr_torch.observe import Experiment, ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import fewer_steps
 
@@ -128,11 +130,12 @@ def infer_laboratory(kind: str, seed: int) -> Line:
     effects = [effect for effect in library() if not hidden & set(effect.names)]
     simulator = fewer_steps(Task("none", 2, 10, "polytropic", seed).simulator())
     started = time.process_time()
-    found = compare_gels(
-        {f"gel {n}": FilmedGel(own, simulator=simulator) for n, own in enumerate(gels)},
-        effects=effects,
-        seed=seed,
-    )
+    base = wide_prior(("nhkv",)).models[0]
+    asked = {
+        f"gel {n}": Inquiry(base, ExperimentBatch(own), simulator, tuple(effects))
+        for n, own in enumerate(gels)
+    }
+    found = compare_gels(asked, seed=seed)
     return {
         "truth": kind,
         "acts": acts,

@@ -3,7 +3,7 @@
 import time
 from argparse import Namespace
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from imr_torch.characterization import medium_document, medium_of
@@ -18,7 +18,6 @@ from imr_torch.cli.progress import diagnose_stages
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap import (
     Effect,
-    FilmedGel,
     compare_gels,
     describe,
     diagnose,
@@ -29,8 +28,16 @@ from imr_torch.gap import (
     to_json,
 )
 from imr_torch.gap.document import laboratory_document
-from imr_torch.material import ModelBelief, material, wide_prior
-from imr_torch.observe import Experiment, GelMedium, TraceSet, load_traces, prepare
+from imr_torch.gap.hypotheses import Inquiry
+from imr_torch.material import material, wide_prior
+from imr_torch.observe import (
+    Experiment,
+    ExperimentBatch,
+    GelMedium,
+    TraceSet,
+    load_traces,
+    prepare,
+)
 from imr_torch.progress import ProgressLine
 from imr_torch.record import ALL_ALIKE, Record, RecordOptions, describe_record
 from imr_torch.simulate import Simulator
@@ -38,25 +45,8 @@ from imr_torch.simulate import Simulator
 _SET = ".npz"
 
 
-@dataclass(frozen=True)
-class _Asked:
-    """What is asked of the files, checked."""
-
-    experiments: list[Experiment]
-    medium: GelMedium
-    simulator: Simulator
-    base: ModelBelief
-    effects: tuple[Effect, ...]
-    record: Record
-
-    @property
-    def gel(self) -> FilmedGel:
-        """Without what is the same for all gels."""
-        return FilmedGel(self.experiments, self.base, self.simulator)
-
-
-def _read_files(args: Namespace) -> _Asked:
-    """Check everything that was asked for, and read the files."""
+def _read_files(args: Namespace) -> tuple[Inquiry, GelMedium, Record]:
+    """Check everything that was asked for, and read the files of a gel."""
     simulator = simulator_of(args)
     effects = _choose_effects(args)
     base = wide_prior((args.base,), known=args.known).models[0]
@@ -70,14 +60,10 @@ def _read_files(args: Namespace) -> _Asked:
         medium.surroundings,
         options=ALL_ALIKE if args.count_all_shots else RecordOptions(),
     )
-    return _Asked(
-        list(record.weighted(experiments)),
-        medium,
-        medium.applied(simulator),
-        medium.believed_of(base),
-        _beside_medium(effects, medium, args),
-        record,
-    )
+    batch = ExperimentBatch(tuple(record.weighted(experiments)))
+    effects = _beside_medium(effects, medium, args)
+    base = medium.believed_of(base)
+    return Inquiry(base, batch, medium.applied(simulator), effects), medium, record
 
 
 def _estimates_noise(args: Namespace) -> bool:
@@ -96,15 +82,14 @@ def _compare_files(args: Namespace) -> None:
             f"--gels takes each file as a gel; got {', '.join(names)}: give two or more of "
             "different names."
         )
-    asked = [_read_files(Namespace(**vars(args) | {"files": [f]})) for f in args.files]
-    common = set.intersection(*({e.name for e in gel.effects} for gel in asked))
-    found = compare_gels(
-        {name: gel.gel for name, gel in zip(names, asked, strict=True)},
-        effects=[effect for effect in asked[0].effects if effect.name in common],
-        estimate_noise=_estimates_noise(args),
-        seed=args.seed,
-        progress=args.terminal,
-    )
+    each = [Namespace(**vars(args) | {"files": [file]}) for file in args.files]
+    gels = {name: _read_files(own)[0] for name, own in zip(names, each, strict=True)}
+    common = set.intersection(*(set(gel.effects) for gel in gels.values()))
+    gels = {
+        name: replace(gel, effects=tuple(e for e in gel.effects if e in common))
+        for name, gel in gels.items()
+    }
+    found = compare_gels(gels, estimate_noise=_estimates_noise(args), seed=args.seed)
     document = laboratory_document(names, found)
     args.command = "laboratory"
     report_result(args, document | {"seconds": time.perf_counter() - started})
@@ -116,8 +101,8 @@ def run_command(args: Namespace) -> None:
         _compare_files(args)
         return
     started = time.perf_counter()
-    asked = _read_files(args)
-    experiments, medium, simulator = asked.experiments, asked.medium, asked.simulator
+    inquiry, medium, record = _read_files(args)
+    experiments, simulator = inquiry.batch.curves, inquiry.simulator
     held_out = (
         []
         if args.heldout is None
@@ -132,8 +117,8 @@ def run_command(args: Namespace) -> None:
     progress = args.terminal.plan_stages(diagnose_stages(estimate_noise=estimate_noise))
     report = diagnose(
         fitted,
-        base=asked.base,
-        effects=asked.effects,
+        base=inquiry.base,
+        effects=inquiry.effects,
         estimate_noise=estimate_noise,
         simulator=simulator,
         most=args.most,
@@ -145,9 +130,7 @@ def run_command(args: Namespace) -> None:
     assumed = (
         medium_sensitivities(fit, batch, simulator, medium) if report.converged else ()
     )
-    document = to_json(report, parts, simulator=simulator) | {
-        "record": asked.record.to_dict()
-    }
+    document = to_json(report, parts, simulator=simulator) | {"record": record.to_dict()}
     document |= medium_document(medium, assumed, fit.posterior)
     print(describe(document))
     args.gel_medium = medium

@@ -4,7 +4,7 @@ from imr_torch.gap.active import CauseLearner, TellCausesApart
 from imr_torch.gap.diagnose import GapReport, diagnose
 from imr_torch.gap.document import describe, to_json
 from imr_torch.gap.examine import Parts, examine
-from imr_torch.gap.laboratory import FilmedGel, compare_gels
+from imr_torch.gap.laboratory import compare_gels
 from imr_torch.gap.medium import MediumSensitivity, medium_sensitivities
 from imr_torch.material import LIBRARY, Effect, library
 from imr_torch.observe import load_set
@@ -13,7 +13,6 @@ __all__ = [
     "LIBRARY",
     "CauseLearner",
     "Effect",
-    "FilmedGel",
     "GapReport",
     "MediumSensitivity",
     "Parts",

@@ -143,18 +143,17 @@ def diagnose(
     'none'
     """
     start = time.perf_counter()
-    null, inquiry = fit_base(
-        experiments,
-        base=base,
-        effects=effects,
-        noise=noise,
-        estimate_noise=estimate_noise,
-        simulator=simulator,
-        most=most,
-        seed=seed,
-        progress=progress,
-    )
-    nothing = Hypothesis(inquiry.base)
+    base = base or wide_prior(("nhkv",)).models[0]
+    effects = tuple(library(base=base.model) if effects is None else effects)
+    if not effects:
+        raise InputDataError(
+            f"No effect is left that can be put on {base.model!r}; known are {', '.join(LIBRARY)}."
+        )
+    simulator = simulator or TransportSimulator(accuracy=ACCURACIES["search"])
+    batch = ExperimentBatch(tuple(experiments), noise or Noise())
+    inquiry = Inquiry(base, batch, simulator, effects, most=most, progress=progress)
+    null, inquiry = fit_base(inquiry, estimate_noise=estimate_noise, seed=seed)
+    nothing = Hypothesis(base)
     left = inquiry.test(null, nothing, seed=child(seed, "gap"))
     gap = left.test
     if progress:
@@ -199,36 +198,18 @@ def diagnose(
 
 
 def fit_base(
-    experiments: Sequence[Experiment],
-    *,
-    base: ModelBelief | None = None,
-    effects: Sequence[Effect] | None = None,
-    noise: Noise | None = None,
-    estimate_noise: bool = False,
-    simulator: Simulator | None = None,
-    most: int = 2,
-    seed: int = 0,
-    progress: Progress = None,
+    inquiry: Inquiry, *, estimate_noise: bool, seed: int
 ) -> tuple[ModelFit, Inquiry]:
-    """The base model's fit, and the inquiry with the noise that was inferred; arguments and errors
-    as of :func:`diagnose`.
-    """
-    base = base or wide_prior(("nhkv",)).models[0]
-    effects = tuple(library(base=base.model) if effects is None else effects)
-    if not effects:
-        raise InputDataError(
-            f"No effect is left that can be put on {base.model!r}; known are {', '.join(LIBRARY)}."
-        )
-    simulator = fewer_steps(simulator or TransportSimulator(accuracy=ACCURACIES["search"]))
-    law = noise or Noise()
-    if estimate_noise:
-        law = replace(law, kink=FIRST_KINK)
-    batch = ExperimentBatch(tuple(experiments), law)
-    inquiry = Inquiry(base, batch, simulator, effects, most=most, progress=progress)
+    """The base model's fit, and the inquiry with the noise that was inferred and fewer steps."""
+    inquiry = replace(inquiry, simulator=fewer_steps(inquiry.simulator))
+    if not estimate_noise:
+        return fit_null(inquiry, seed=child(seed, "null")), inquiry
+    law = replace(inquiry.batch.noise, kink=FIRST_KINK)
+    inquiry = replace(inquiry, batch=replace(inquiry.batch, noise=law))
     null = fit_null(inquiry, seed=child(seed, "null"))
-    if estimate_noise:
-        near = Posterior(base, batch, simulator).neighbourhood(null.point)
-        inquiry = replace(inquiry, batch=without_spoilt_frames(near))
-        nothing = Hypothesis(base)
-        return fit_with_noise(inquiry, nothing, null, seed=child(seed, "noise"))
-    return null, inquiry
+    near = Posterior(inquiry.base, inquiry.batch, inquiry.simulator).neighbourhood(
+        null.point
+    )
+    inquiry = replace(inquiry, batch=without_spoilt_frames(near))
+    nothing = Hypothesis(inquiry.base)
+    return fit_with_noise(inquiry, nothing, null, seed=child(seed, "noise"))

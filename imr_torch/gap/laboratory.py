@@ -5,108 +5,72 @@ The base model is fitted to each gel by itself; what is left of all is compared 
 (:mod:`imr_torch.unknown.common`).
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 
 from imr_torch.assimilate import SearchOptions
 from imr_torch.gap.diagnose import fit_base
 from imr_torch.gap.fits import fit_hypotheses
-from imr_torch.gap.hypotheses import Hypothesis
+from imr_torch.gap.hypotheses import Hypothesis, Inquiry
 from imr_torch.gap.verdict import NONE
-from imr_torch.material import Effect, ModelBelief
-from imr_torch.observe import Experiment
 from imr_torch.random import child
-from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Progress, ProgressLine
 from imr_torch.unknown import CommonUnknown, FollowedGel, compare_unknowns
-
-
-@dataclass(frozen=True)
-class FilmedGel:
-    """A gel that is compared with others.
-
-    Args:
-        experiments: its data.
-        base: prior of the base model, as of :func:`imr_torch.gap.diagnose`.
-        simulator: makes the bubbles, likewise.
-
-    >>> from imr_torch.gap import FilmedGel
-    >>> FilmedGel([]).simulator is None
-    True
-    """
-
-    experiments: Sequence[Experiment]
-    base: ModelBelief | None = None
-    simulator: Simulator | None = None
 
 
 @one_torch_thread()
 def compare_gels(
-    gels: Mapping[str, FilmedGel],
+    gels: Mapping[str, Inquiry],
     *,
-    effects: Sequence[Effect] | None = None,
     estimate_noise: bool = False,
     leads: int = 3,
     rounds: int = 3,
     gain: float = 10.0,
     seed: int = 0,
-    progress: Progress = None,
 ) -> CommonUnknown:
     """Ask whether what several gels miss is common to them.
 
     Args:
-        gels: name -> gel.
-        effects: that may be common, or a gel's own; all of the library by default.
+        gels: name -> base model, data, simulator and effects of a gel, of all the same effects.
         estimate_noise: whether the noise of each gel is inferred.
         leads: effects of each gel that are fitted to all, so that trajectories follow the curves: at
             first those that the gap test puts first, then those that explain it best about them.
         rounds: of these, at most.
         gain: nats that an effect must gain to lead.
         seed: of the searches.
-        progress: called with one line per step.
 
     Raises:
         InputDataError: for fewer than two gels, and for one whose bubbles cannot be simulated.
 
     >>> import torch
-    >>> from imr_torch import PolytropicSimulator
-    >>> from imr_torch.gap import FilmedGel, compare_gels
+    >>> from imr_torch import PolytropicSimulator, wide_prior
+    >>> from imr_torch.gap import compare_gels
+    >>> from imr_torch.gap.hypotheses import Inquiry
     >>> from imr_torch.material import PARAMETERS, library
-    >>> from imr_torch.observe import SimulatedLaboratory
-    >>> simulator = PolytropicSimulator()
+    >>> from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
+    >>> simulator, base = PolytropicSimulator(), wide_prior(["nhkv"])["nhkv"]
+    >>> effects = library(["size_drag", "refraction"])
     >>> gels = {}
     >>> for number, modulus in enumerate((6e3, 1e4)):
     ...     truth = PARAMETERS.pack({"G": modulus, "mu": 0.1, "size_drag": 5e6})  # one drag
     ...     laboratory = SimulatedLaboratory(simulator, truth, repeats=10)
     ...     design = torch.tensor([300.0, 0.2], dtype=torch.float64)
-    ...     gels[str(number)] = FilmedGel([laboratory.shoot(design, seed=number)], simulator=simulator)
-    >>> found = compare_gels(gels, effects=library(["size_drag", "refraction"]))
+    ...     batch = ExperimentBatch((laboratory.shoot(design, seed=number),))
+    ...     gels[str(number)] = Inquiry(base, batch, simulator, effects)
+    >>> found = compare_gels(gels)
     >>> found.causes[0].name
     'size_drag'
     """
     fitted = []
     ahead: list[str] = []
     for name, gel in gels.items():
-        if progress:
-            progress(ProgressLine(f"fit of {name}", stage="gels", step=name))
         own = child(seed, name)
-        null, inquiry = fit_base(
-            gel.experiments,
-            base=gel.base,
-            effects=effects,
-            estimate_noise=estimate_noise,
-            simulator=gel.simulator,
-            seed=own,
-        )
+        null, inquiry = fit_base(gel, estimate_noise=estimate_noise, seed=own)
         left = inquiry.test(null, Hypothesis(inquiry.base), seed=own)
         names = [block.name for block in left.test.blocks if block.name in left.starts]
         ahead += names[: leads * left.test.found]
         fitted.append((inquiry, left.starts, {NONE: null}))
     options = SearchOptions(starts=2, iterations=30, basin_rounds=0)
     for _ in range(rounds):
-        if progress:
-            progress(ProgressLine(f"effects {', '.join(ahead)}", stage="gels"))
         followed = []
         for inquiry, starts, fits in fitted:
             longer = inquiry.longer(Hypothesis(inquiry.base))

@@ -168,24 +168,22 @@ class FollowedGel:
         effects: Sequence[tuple[Effect, Sequence[float]]],
     ) -> Table:
         """What all hypotheses need of the gel; an effect that leads is taken out of the curves."""
+        search = self.search
         state = self.followed.state
-        shots = self.search.shots
+        responses = self.followed.responses
         system = self.followed.system
-        empty = tuple(zeros(2 * shot.batch.times.shape[1]) for shot in shots)
-        seen = replace(state, made=empty, inside=False)
         parts = [system.fitted, system.unknown]
         for name, columns in functions.items():
-            pairs = enumerate(zip(shots, self.followed.responses, strict=True))
-            made = tuple(columns(number, *pair) for number, pair in pairs)
-            begin = seen if name == CAMERA else state
-            parts.append(self.search.assemble(begin, self.followed.responses, made).unknown)
-        known = self.search.base.prior.known
+            begin = search.without_pressure(state) if name == CAMERA else state
+            made = search.make(columns, responses)
+            parts.append(search.assemble(begin, responses, made).unknown)
+        known = search.base.prior.known
         led = [
             (effect, [known[name] for name in effect.names[1:]])
             for effect, _ in effects
             if set(effect.names) <= set(known)
         ][:1]
-        at = zip(shots, state.nuisances, state.made, strict=True)
+        at = zip(search.shots, state.nuisances, state.made, strict=True)
         changes = [
             shot.respond_to_effects(state.gel, *one, [*effects, *led]) for shot, *one in at
         ]

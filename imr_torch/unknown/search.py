@@ -123,6 +123,16 @@ class KindSearch:
         """Responses there."""
         return self.respond(self.still)
 
+    def without_pressure(self, state: State) -> State:
+        """The same with errors of the camera, so far none, in place of pressures."""
+        made = tuple(zeros(2 * shot.batch.times.shape[1]) for shot in self.shots)
+        return replace(state, made=made, inside=False)
+
+    def make(self, columns: Columns, responses: Sequence[Response]) -> tuple[Tensor, ...]:
+        """What an unknown makes of each shot."""
+        pairs = enumerate(zip(self.shots, responses, strict=True))
+        return tuple(columns(number, *pair) for number, pair in pairs)
+
     def fit(
         self,
         columns: Columns,
@@ -142,10 +152,7 @@ class KindSearch:
             settled: nats that a further round must gain, and their share of all that were gained.
             halvings: lengths of a step that are tried.
         """
-        still = self.still
-        if not inside:
-            frames = [shot.batch.times.shape[1] for shot in self.shots]
-            still = replace(still, made=tuple(zeros(2 * n) for n in frames), inside=False)
+        still = self.still if inside else self.without_pressure(self.still)
         found = self.linearise(columns, still, self.responses)
         found = replace(found, state=replace(still, weights=0.0 * found.aim.weights))
         if lead is not None:
@@ -172,8 +179,7 @@ class KindSearch:
         self, columns: Columns, state: State, responses: tuple[Response, ...]
     ) -> KindFit:
         """A kind about a state that another may have made."""
-        pairs = zip(self.shots, responses, strict=True)
-        own = tuple(columns(number, *pair) for number, pair in enumerate(pairs))
+        own = self.make(columns, responses)
         system = self.assemble(state, responses, own)
         solved = {size: system.solve(size) for size in self.sizes}
         logs = tensor([refit.log_evidence for refit in solved.values()])
