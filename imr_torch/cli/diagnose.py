@@ -75,7 +75,7 @@ def _compare_files(args: Namespace) -> None:
     """Ask of gels, a file each, whether what they miss is common."""
     started = time.perf_counter()
     why = "has no effect beside --gels; leave one of them out."
-    refuse_options(args, ("experiments", "heldout", "most"), why)
+    refuse_options(args, ("experiments", "heldout"), why)
     names = [Path(file).stem for file in args.files]
     if len(set(names)) < max(2, len(names)):
         raise InputDataError(

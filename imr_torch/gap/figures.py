@@ -109,7 +109,7 @@ def plot_common(causes: Sequence[Document]) -> Axes:
         ("one", MODEL, "o", "one in all gels"),
     )
     for name, color, marker, label in looks:
-        nats = [cause["nats"][name] for cause in causes]
+        nats = [sum(cause["nats"][name]) for cause in causes]
         ax.plot(nats, places, marker, color=color, label=label)
     ax.set_yticks(places, [plain(cause["name"]) for cause in causes])
     ax.axvline(0.0, color=DATA, lw=0.8)

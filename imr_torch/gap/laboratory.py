@@ -70,7 +70,7 @@ def compare_gels(
         ahead += names[: leads * left.test.found]
         fitted.append((inquiry, left.starts, {NONE: null}))
     options = SearchOptions(starts=2, iterations=30, basin_rounds=0)
-    for _ in range(rounds):
+    while True:
         followed = []
         for inquiry, starts, fits in fitted:
             longer = inquiry.longer(Hypothesis(inquiry.base))
@@ -98,6 +98,6 @@ def compare_gels(
             for gel in range(len(gels))
             for cause in sorted(known, key=lambda cause: -cause.nats["own"][gel])[:leads]
         ]
-        if set(ahead) <= set(fitted[0][2]):
-            break
-    return found
+        rounds -= 1
+        if rounds <= 0 or set(ahead) <= set(fitted[0][2]):
+            return found

@@ -145,14 +145,14 @@ class FollowedGel:
                 marginals=tuple(prior.marginals[n] for n in kept),
                 mean=prior.mean[kept],
                 chol=prior.chol[kept][:, kept],
-                known=prior.known | known,
+                known={**prior.known, **known},
             )
             fit = replace(fit, prior=held, mean=fit.mean[kept])
         search = begin_search(fit, batch, simulator)
         if search is None:
             raise InputDataError(
                 "what is common is asked of curves whose bubbles can be simulated, and these "
-                f"cannot: {', '.join(batch.labels)}; leave the gel out."
+                f"cannot: {', '.join(e.label for e in batch.experiments)}; leave the gel out."
             )
         paths = [response.path for response in search.responses]
         return cls(search, search.fit(function_of_time(paths)))
@@ -183,9 +183,11 @@ class FollowedGel:
             for effect, _ in effects
             if set(effect.names) <= set(known)
         ][:1]
-        at = zip(search.shots, state.nuisances, state.made, strict=True)
         changes = [
-            shot.respond_to_effects(state.gel, *one, [*effects, *led]) for shot, *one in at
+            shot.respond_to_effects(state.gel, nuisances, pressure, [*effects, *led])
+            for shot, nuisances, pressure in zip(
+                search.shots, state.nuisances, state.made, strict=True
+            )
         ]
         rows = torch.cat(changes, 1)
         rows = torch.nn.functional.pad(rows, (0, len(system.residual) - rows.shape[1]))
@@ -386,7 +388,7 @@ def _share(
     logs = torch.stack([log[:, owns].flatten() for _, log in tables])
     gels = torch.arange(len(tables))
     places = logs.argmax(1)
-    total = zeros(())
+    total = joint = zeros(())
     for gel in gels.repeat(sweeps):
         others = gels[gels != gel]
         whole = lefts[gel] + lefts[others, places[others]].sum(0)
