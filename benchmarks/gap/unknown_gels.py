@@ -41,6 +41,7 @@ from imr_torch.material import wide_prior
 from imr_torch.observe import Experiment, ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import fewer_steps
+from imr_torch.unknown import CommonUnknown
 
 STRESSES = (
     "strain_stiffening",
@@ -63,10 +64,10 @@ TRUTHS: dict[str, tuple[tuple[str, ...], tuple[float, float]]] = {
 }
 """What acts -> effects that it is drawn from, and how many sd of it a refit of a gel leaves."""
 
-RIGHT = {"nothing": {"none"}, "shots' own pulses": {"none"}}
-RIGHT |= {name: {"one", "both", "common"} for name in TRUTHS if name.startswith("one")}
+RIGHT = {"nothing": {"none"}, "shots' own pulses": {"none", "own"}}
+RIGHT |= {name: {"one", "common"} for name in TRUTHS if name.startswith("one")}
 RIGHT |= {name: {"own", "law", "gels"} for name in TRUTHS if name.startswith("own")}
-VERDICTS = ("none", "gels", "law", "own", "common", "both", "one", "undecided")
+VERDICTS = ("none", "gels", "law", "own", "common", "one", "undecided")
 
 
 def make_laboratory(
@@ -158,7 +159,7 @@ def write_scores(lines: list[Line]) -> str:
     rows = []
     for kind, right in RIGHT.items():
         own = [x for x in lines if x.get("truth") == kind]
-        said = [x["verdict"] for x in own]
+        said = [CommonUnknown(x["probabilities"], ()).verdict for x in own]
         wrong = sum(verdict not in right | {"undecided"} for verdict in said)
         counts = [said.count(name) for name in VERDICTS]
         sure = [

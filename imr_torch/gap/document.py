@@ -258,7 +258,9 @@ def laboratory_document(names: Sequence[str], found: CommonUnknown) -> Document:
 
     >>> from imr_torch.gap.document import laboratory_document
     >>> from imr_torch.unknown import CommonUnknown
-    >>> laboratory_document(["a", "b"], CommonUnknown({"nothing": 0.97, "shots": 0.03}, ()))["verdict"]
+    >>> names = ("nothing", "shots", "own", "law", "one", "both")
+    >>> found = CommonUnknown(dict.fromkeys(names, 0.0) | {"nothing": 1.0}, ())
+    >>> laboratory_document(["a", "b"], found)["verdict"]
     'none'
     """
     return {

@@ -89,18 +89,20 @@ class CommonUnknown:
 
     @property
     def verdict(self) -> str:
-        """Of what has a probability of .95 or more the most that can be said: ``"one"``, ``"both"``,
-        ``"own"`` or ``"law"``; ``"common"`` (one or both) or ``"gels"`` (own or law); ``"none"``;
-        else ``"undecided"``.
+        """Of what has a probability of .95 or more the most that can be said: ``"one"``, ``"own"`` or
+        ``"law"``; ``"common"`` (one or both: what a linear step does not follow looks like an own
+        part) or ``"gels"`` (own or law); ``"none"``; else ``"undecided"``.
         """
         p = self.probabilities
-        likely = p | {
+        likely = {
+            "one": p["one"],
+            "own": p["own"],
+            "law": p["law"],
             "common": p["one"] + p["both"],
             "gels": p["own"] + p["law"],
             "none": p["nothing"] + p["shots"],
         }
-        names = ("one", "both", "own", "law", "common", "gels", "none")
-        return next((name for name in names if likely[name] >= CLEAR), "undecided")
+        return next((name for name in likely if likely[name] >= CLEAR), "undecided")
 
 
 Table = tuple[Float[Tensor, "drives owns columns columns"], Float[Tensor, "drives owns"]]
