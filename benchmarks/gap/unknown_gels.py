@@ -164,8 +164,8 @@ def write_scores(lines: list[Line]) -> str:
         counts = [said.count(name) for name in VERDICTS]
         sure = [
             x
-            for x in own
-            if x["verdict"] in ("one", "both", "common") and not x["withheld"]
+            for x, verdict in zip(own, said, strict=True)
+            if verdict in ("one", "common") and not x["withheld"]
         ]
         names = sum(x["causes"][0]["name"] in effects_of(x) for x in sure)
         rows.append((kind, len(own), *counts, wrong, f"{names} of {len(sure)}"))
