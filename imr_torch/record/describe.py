@@ -233,6 +233,8 @@ def odd_probabilities(
     if known.sum() < FEWEST:
         return found
     x = values[known]
+    noisy = sds[known] > options.noisy * np.median(sds[known])
+    before = np.where(noisy, options.odd_noisy, options.odd)
     size = np.log(sizes[known] / np.median(sizes[known]))
     reach = 3.0 * np.hypot(scatter, 1.5 * np.median(abs(x - np.median(x))))
     centre, change, spread = np.meshgrid(
@@ -245,8 +247,8 @@ def odd_probabilities(
     prior -= 0.5 * np.log2(spread / scatter) ** 2  # a factor of 2 either way
     variance = spread[..., None] ** 2 + sds[known] ** 2
     apart = (x - centre[..., None] - change[..., None] * size) ** 2 / variance
-    good = np.exp(-0.5 * apart) * (1.0 - options.odd)
-    odd = np.exp(-0.5 * apart / options.wide**2) * options.odd / options.wide
+    good = np.exp(-0.5 * apart) * (1.0 - before)
+    odd = np.exp(-0.5 * apart / options.wide**2) * before / options.wide
     weight = prior + (np.log(good + odd + 1e-300) - 0.5 * np.log(variance)).sum(-1)
     weight = np.exp(weight - weight.max())
     share = odd / (good + odd + 1e-300)
