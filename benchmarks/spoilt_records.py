@@ -53,6 +53,8 @@ FRAMES = {
 FITS = PolytropicSimulator(
     Conditions(gas=PolytropicGas(exponent=1.4, reference="rest")), threads=1
 )
+GOOD = ("good", "noisier")
+"""In which no shot is bad."""
 BAD = 3
 """Which shot is the bad one."""
 
@@ -178,7 +180,7 @@ def write_page(lines: list[Line]) -> str:
         own = [line for line in lines if line["key"].startswith(f"{kind}/")]
         odd = [line["odd"] for line in own if "odd" in line]
         if odd:
-            bad = [] if kind == "good" else [row.pop(BAD) for row in odd]
+            bad = [] if kind in GOOD else [row.pop(BAD) for row in odd]
             figures.append(Figure.of_share(f"{kind}: found", bad, (0.9, 1.0)))
             good = [x for row in odd for x in row]
             figures.append(Figure.of_share(f"{kind}: good called bad", good, (0.0, 0.03)))

@@ -12,6 +12,7 @@ from benchmarks.gap.single_curves import characterize_traces
 from benchmarks.spoilt_records import (
     BAD,
     FITS,
+    GOOD,
     SHOTS,
     film_bubble,
     judge_shots,
@@ -20,7 +21,6 @@ from benchmarks.spoilt_records import (
 from imr_torch.files import read_json
 from imr_torch.observe import Given, RadiusTrace, TraceSet, load_traces, prepare
 from imr_torch.record import ALL_ALIKE, RecordOptions, describe_record
-from imr_torch.record.describe import odd_probabilities
 from imr_torch.record.figures import record_figure
 from imr_torch.units import Surroundings
 from tests.record.bubbles import LIQUID, paths, wall_pressure
@@ -114,13 +114,14 @@ def test_a_wall_lengthens_the_chord():
     assert near.modulus < 0.0
 
 
-@pytest.mark.parametrize("kind", [kind for kind in SHOTS if kind != "good"])
+@pytest.mark.parametrize("kind", SHOTS)
 def test_one_bad_shot_of_eight_is_found_and_no_good_one(kind):
     odd = np.array(
         [judge_shots(kind, 1.5 * SHOTS[kind], seed, fit=False)["odd"] for seed in range(3)]
     )
-    assert odd[:, BAD].all()
-    assert odd.sum() == len(odd)
+    found = odd[:, BAD].sum()
+    assert found < 2 if kind in GOOD else found == 3  # by chance, where it is only noisier
+    assert odd.sum() == found
 
 
 def test_two_shots_cannot_outvote_each_other():
@@ -155,14 +156,6 @@ def test_a_shot_that_stands_out_counts_little_in_fits_unless_asked_to():
     alike = describe_record(traces, options=ALL_ALIKE)
     assert alike.shots[3].stands_out
     assert [e.weight for e in alike.weighted(shots)] == [1.0] * 8
-
-
-@pytest.mark.parametrize(("chord", "odd"), [(1.05, False), (1.08, True)])
-def test_a_noisy_shot_is_bad_where_its_values_are_too(chord, odd):
-    sds = np.where(np.arange(8) == 3, 0.03, 0.01)
-    chords = np.where(sds > 0.02, chord, 1.0)
-    p = odd_probabilities(chords, sds, np.ones(8), RecordOptions(), scatter=0.01)
-    assert (p > 0.5).tolist() == [odd * (i == 3) for i in range(8)]
 
 
 def test_a_bad_shot_moves_the_gel_less(few_deviations):
