@@ -9,12 +9,15 @@ are refused; unusual ones are reported, since a diameter taken for a radius look
 """
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
+from imr_torch.files import read_table
 from imr_torch.observe.experiments import Experiment
 from imr_torch.observe.extremes import RULES, collapse_time, frame_roughness
 from imr_torch.observe.landmarks import Landmarks
@@ -25,62 +28,18 @@ RAYLEIGH_TIME = 0.915
 """Dimensionless collapse time of an empty cavity."""
 
 
-@dataclass(frozen=True)
-class Range:
-    """Values that are possible, and those that are usual.
+class Range(NamedTuple):
+    """Values that are possible, and those that are usual: smallest and largest each."""
 
-    Args:
-        possible: smallest and largest value; others are refused.
-        usual: smallest and largest value; others are reported.
-    """
-
-    possible: tuple[float, float]
-    usual: tuple[float, float]
+    possible: Sequence[float]
+    usual: Sequence[float]
 
 
-@dataclass(frozen=True)
-class Limits:
-    """What curves of bubbles look like.
-
-    Args:
-        weber: We.
-        rest_radius: R_inf/Rmax.
-        first_collapse: t* of the first collapse.
-        collapse_after_cut: earliest usual one of a record that begins after its maximum.
-        largest_radius: R/Rmax of the largest frame.
-        scatter: of neighbouring frames, of the range of all radii; noise alone has .25 and more.
-        stated_over_seen: stated maximum radius over that of the frames.
-        latest_maximum: latest t* of the largest frame.
-        frames_to_maximum: frames by which the maximum may lie before a record that begins near it.
-        duration: t* that a record without a collapse may last.
-        fewest_frames: from which on their scatter is looked at.
-        dense: t* between frames, within which no bubble falls by a quarter from its maximum.
-        least_change: of the radius, over the largest one.
-        longest_exposure: over the time between frames.
-
-    >>> from imr_torch.observe.plausibility import Limits
-    >>> Limits().first_collapse.usual
-    (0.55, 1.4)
-    """
-
-    weber: Range = Range((1.0, 1e5), (20.0, 3000.0))
-    rest_radius: Range = Range((0.02, 0.95), (0.07, 0.65))
-    first_collapse: Range = Range((0.25, 3.0), (0.55, 1.4))
-    collapse_after_cut: float = 0.7
-    largest_radius: Range = Range((0.7, 1.1), (0.85, 1.05))
-    scatter: Range = Range((0.0, 0.25), (0.0, 0.15))
-    stated_over_seen: Range = Range((0.75, 1.35), (0.95, 1.1))
-    latest_maximum: float = 0.45
-    frames_to_maximum: float = 2.5
-    duration: tuple[float, float] = (0.1, 3.0)
-    fewest_frames: int = 12
-    dense: float = 0.15
-    least_change: float = 0.01
-    longest_exposure: float = 1.05
-
-
-LIMITS = Limits()
-"""The limits of :func:`check_experiment` and :func:`check_maximum`."""
+_TABLE = read_table("limits")
+LIMITS = SimpleNamespace(**_TABLE)
+"""Limits of :func:`check_experiment` and :func:`check_maximum` (``data/limits.toml``)."""
+RANGES = {name: Range(**row) for name, row in _TABLE["ranges"].items()}
+"""The same of quantities of which some values are possible, and fewer usual."""
 
 
 def check_experiment(
@@ -131,16 +90,16 @@ def check_experiment(
             f"radius, within {LIMITS.latest_maximum}.{advice}"
         )
     found = [
-        (LIMITS.weber, experiment.design[0], "We is {:.4g}"),
-        (LIMITS.rest_radius, experiment.design[1], "R_inf/Rmax is {:.4g}"),
-        (LIMITS.largest_radius, largest, "the largest frame has R/Rmax = {:.3g}"),
+        (RANGES["weber"], experiment.design[0], "We is {:.4g}"),
+        (RANGES["rest_radius"], experiment.design[1], "R_inf/Rmax is {:.4g}"),
+        (RANGES["largest_radius"], largest, "the largest frame has R/Rmax = {:.3g}"),
     ]
     if first < math.inf:
         cavity = f"that of an empty cavity in water at {RAYLEIGH_TIME}, in a gel of 70 kPa at 0.55"
-        collapses = LIMITS.first_collapse
+        collapses = RANGES["first_collapse"]
         if cut:
             usual = (LIMITS.collapse_after_cut, collapses.usual[1])
-            collapses = replace(collapses, usual=usual)
+            collapses = collapses._replace(usual=usual)
         found.append(
             (collapses, first, f"the first collapse is at t* = {{:.3g}} ({cavity})")
         )
@@ -163,15 +122,15 @@ def check_experiment(
     scatter = frame_roughness(radius.numpy()) / max(
         float(radius.amax() - radius.amin()), 1e-300
     )
-    if len(radius) >= LIMITS.fewest_frames and scatter > LIMITS.scatter.usual[1]:
+    if len(radius) >= LIMITS.fewest_frames and scatter > RANGES["scatter"].usual[1]:
         what = (
             f"{where}: neighbouring frames scatter by {100.0 * scatter:.0f} % of the range of all "
             "radii, as noise alone does"
         )
-        if scatter > LIMITS.scatter.possible[1]:
+        if scatter > RANGES["scatter"].possible[1]:
             raise InputDataError(f"{what}; check which column holds the radii.")
         cautions.append(
-            f"{what}; usual is less than {100.0 * LIMITS.scatter.usual[1]:.0f} %."
+            f"{what}; usual is less than {100.0 * RANGES['scatter'].usual[1]:.0f} %."
         )
     return tuple(cautions)
 
@@ -285,8 +244,8 @@ def check_maximum(
         f"{where}: the stated maximum radius is {1e6 * stated:.4g} um, and the largest of the "
         f"frames {1e6 * seen:.4g} um. Check Rmax_m (metres, a radius) and the units of the radii."
     )
-    low, high = LIMITS.stated_over_seen.possible
+    low, high = RANGES["stated_over_seen"].possible
     if not low <= ratio <= high:
         raise InputDataError(text)
-    low, high = LIMITS.stated_over_seen.usual
+    low, high = RANGES["stated_over_seen"].usual
     return () if low <= ratio <= high else (text,)

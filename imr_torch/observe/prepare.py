@@ -16,7 +16,7 @@ from imr_torch.observe.experiments import Experiment
 from imr_torch.observe.landmarks import Landmarks, find_landmarks
 from imr_torch.observe.nuisance import FLOOR
 from imr_torch.observe.plausibility import (
-    LIMITS,
+    RANGES,
     RAYLEIGH_TIME,
     check_experiment,
     check_maximum,
@@ -194,7 +194,7 @@ def _first_collapse(
     """
     first = _collapse_frame(whole, marks, surroundings, 1)
     radius = whole.radius[0]
-    latest = LIMITS.first_collapse.possible[1]
+    latest = RANGES["first_collapse"].possible[1]
     low = (radius < 0.5 * (radius.max() + radius.min())) & (whole.times > 0.0)
     came_down = whole.times[low.double().argmax()]
     return math.inf if first > latest >= 2.0 * float(came_down) else first
