@@ -10,11 +10,14 @@ import sys
 
 import pytest
 
+from imr_torch.assimilate import NOISE_ROUNDS
 from imr_torch.cli import main
-from imr_torch.cli.progress import DESIGN, Terminal, characterize_stages, diagnose_stages
+from imr_torch.cli.progress import Terminal, list_stages
 from imr_torch.progress import ProgressLine, within
 
-DIAGNOSE = diagnose_stages(estimate_noise=True)
+GIVEN = {"noise": True, "curves": True, "population": False}
+CHARACTERIZE = list_stages("characterize", **GIVEN, figures=True)
+DIAGNOSE = list_stages("diagnose", noise=True)
 
 
 def iteration(number: int, detail: str = "nhkv cost 1") -> ProgressLine:
@@ -45,8 +48,12 @@ def terminal(stages=(), *, live=False, **options):
     return made, stream, clock
 
 
+def test_that_there_is_a_stage_for_every_round_of_the_noise():
+    assert [x.key for x in CHARACTERIZE].count("noise") == NOISE_ROUNDS
+
+
 def test_that_stage_step_and_time_left_are_said():
-    made, stream, clock = terminal(characterize_stages(2))
+    made, stream, clock = terminal(CHARACTERIZE)
     made(LONG)
     clock.now = 20.0
     made(stage("noise", "noise 0.09 x the published law"))
@@ -68,7 +75,7 @@ def test_that_stage_step_and_time_left_are_said():
 
 
 def test_that_no_time_left_is_said_where_the_last_stage_lasts_longer_than_planned():
-    made, _, clock = terminal(characterize_stages(2, figures=False))
+    made, _, clock = terminal(list_stages("characterize", **GIVEN, figures=False))
     clock.now = 20.0
     made(stage("noise", "noise 1"))
     made(stage("fit test", "fit test: does the model explain the curves?"))
@@ -77,7 +84,7 @@ def test_that_no_time_left_is_said_where_the_last_stage_lasts_longer_than_planne
 
 
 def test_that_counted_steps_give_the_time_left():
-    made, _, clock = terminal(DESIGN)
+    made, _, clock = terminal(list_stages("design"))
     clock.now = 10.0
     text = "design 5/25: We  300.0  R_inf* 0.200  EIG 1.0 +- 0.1 nats"
     made(ProgressLine(text, step="design", done=5, of=25))
@@ -114,7 +121,7 @@ def test_that_more_selections_than_were_expected_take_more_time_and_less_are_don
 
 
 def test_that_a_log_gets_a_line_per_stage_and_one_every_half_minute():
-    made, stream, clock = terminal(characterize_stages(1))
+    made, stream, clock = terminal(CHARACTERIZE)
     for second in range(65):
         clock.now = float(second)
         made(iteration(second + 1))
@@ -123,11 +130,11 @@ def test_that_a_log_gets_a_line_per_stage_and_one_every_half_minute():
 
 
 def test_that_a_log_says_a_stage_when_it_begins_though_time_passes_meanwhile():
-    made, stream, _ = terminal(characterize_stages(1))
+    made, stream, _ = terminal(CHARACTERIZE)
     made.clock = itertools.count().__next__
     made(LONG)
     made(stage("noise", "noise 0.09 x the published law"))
-    assert "stage 2 of 5" in stream.getvalue()
+    assert "stage 2 of 6" in stream.getvalue()
 
 
 def test_that_verbose_prints_every_line_as_it_is_and_quiet_none():
@@ -167,7 +174,7 @@ def test_that_the_line_moves_while_nothing_is_reported():
 
 
 def test_that_a_program_gets_events_with_the_part_that_is_done():
-    made, stream, clock = terminal(DESIGN, events=True)
+    made, stream, clock = terminal(list_stages("design"), events=True)
     made("evidence of each model")
     clock.now = 10.0
     made(ProgressLine("design 5/25: We  300.0", step="design", done=5, of=25))

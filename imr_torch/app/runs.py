@@ -76,11 +76,6 @@ class Result:
         ]
 
     @property
-    def command(self) -> str:
-        """The command line."""
-        return command_line(self.arguments)
-
-    @property
     def outcome(self) -> str:
         """How it ended, in words."""
         if self.status is None:

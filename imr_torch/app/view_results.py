@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from nicegui import ui
 
-from imr_torch.app.runs import Result, Runs
+from imr_torch.app.runs import Result, Runs, command_line
 
 
 @dataclass(eq=False)
@@ -49,7 +49,7 @@ class ResultsView:
             ui.button(
                 "Use its options again", on_click=lambda: self.reuse(result.arguments)
             ).props("outline dense")
-        ui.label(result.command).classes("command")
+        ui.label(command_line(result.arguments)).classes("command")
         ui.label(f"Started {result.started}").classes("quiet")
         self._draw_content(result)
 

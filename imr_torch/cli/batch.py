@@ -21,7 +21,7 @@ from imr_torch.cli.common import (
     simulator_of,
     write_result,
 )
-from imr_torch.cli.progress import BATCH
+from imr_torch.cli.progress import list_stages
 from imr_torch.errors import ConvergenceError, InputDataError, UnsupportedError
 from imr_torch.observe import find_files
 from imr_torch.results import document_report
@@ -62,7 +62,7 @@ def run_command(args: Namespace) -> None:
             options=options,
             executor=executor,
             window=512 if args.cluster else workers,
-            progress=args.terminal.plan_stages(BATCH),
+            progress=args.terminal.plan_stages(list_stages(args.command)),
         )
     document = write_result(args, summary.to_dict())
     print(document_report(document))

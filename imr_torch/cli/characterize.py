@@ -4,7 +4,6 @@ import shlex
 from argparse import Namespace
 from pathlib import Path
 
-from imr_torch.assimilate import NOISE_ROUNDS
 from imr_torch.characterization import characterize
 from imr_torch.cli.common import (
     METHODS,
@@ -15,7 +14,7 @@ from imr_torch.cli.common import (
     write_result,
 )
 from imr_torch.cli.options import COLLAPSES
-from imr_torch.cli.progress import characterize_stages
+from imr_torch.cli.progress import list_stages
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.export import write_mat
 from imr_torch.files import write_bytes
@@ -62,16 +61,20 @@ def _characterize(args: Namespace) -> None:
             read.append(prepared.report(frames=False))
             print(read[-1])
 
-    rounds = NOISE_ROUNDS if args.noise == "estimated" else 0
+    estimate_noise = args.noise == "estimated"
     drawn = bool(args.out or args.html)
-    stages = characterize_stages(
-        rounds, curves=len(traces) > 0, population=args.population, figures=drawn
+    stages = list_stages(
+        args.command,
+        noise=estimate_noise,
+        curves=len(traces) > 0,
+        population=args.population,
+        figures=drawn,
     )
     result = characterize(
         traces,
         prior=prior,
         simulator=simulator,
-        estimate_noise=args.noise == "estimated",
+        estimate_noise=estimate_noise,
         collapses=args.collapses,
         rest_radius=args.rest_radius,
         growth=args.growth,

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from imr_torch.characterization import medium_document, medium_of
 from imr_torch.cli.common import refuse_options, show_result, simulator_of, write_result
-from imr_torch.cli.progress import diagnose_stages
+from imr_torch.cli.progress import list_stages
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap import (
     Effect,
@@ -61,7 +61,7 @@ def run_command(args: Namespace) -> None:
         )
     known_noise = "published" if args.files[0].lower().endswith(_SET) else "estimated"
     estimate_noise = (args.noise or known_noise) == "estimated"
-    progress = args.terminal.plan_stages(diagnose_stages(estimate_noise=estimate_noise))
+    progress = args.terminal.plan_stages(list_stages("diagnose", noise=estimate_noise))
     report = diagnose(
         fitted,
         base=base,
