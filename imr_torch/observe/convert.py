@@ -18,6 +18,7 @@ from typing import Any
 import torch
 
 from imr_torch.errors import InputDataError
+from imr_torch.html import render
 from imr_torch.observe.experiments import Experiment
 from imr_torch.observe.landmarks import Landmarks
 from imr_torch.observe.nuisance import FLOOR, Nuisance
@@ -126,10 +127,6 @@ class Unused:
         start_s: time of the first, s, on the time axis of the record.
         end_s: time of the last, s.
         reason: why.
-
-    >>> from imr_torch.observe.convert import Unused
-    >>> str(Unused(0, 2, 0.0, 2e-6, "before the maximum radius"))
-    'frames 0 to 2 (0 to 2 us): before the maximum radius'
     """
 
     first: int
@@ -137,14 +134,6 @@ class Unused:
     start_s: float
     end_s: float
     reason: str
-
-    def __str__(self) -> str:
-        if self.first == self.last:
-            return f"frame {self.first} ({1e6 * self.start_s:.4g} us): {self.reason}"
-        return (
-            f"frames {self.first} to {self.last} ({1e6 * self.start_s:.4g} to "
-            f"{1e6 * self.end_s:.4g} us): {self.reason}"
-        )
 
 
 @dataclass(frozen=True)
@@ -180,10 +169,7 @@ class FrameUse:
 
     def lines(self) -> list[str]:
         """The frames in words: how many were fitted, then every stretch that was not."""
-        first = (
-            f"{self.experiment_id}: {sum(self.fitted)} of {len(self.fitted)} frames fitted"
-        )
-        return [first, *(f"  {stretch}" for stretch in self.unused)]
+        return render("frames.txt", use=self).splitlines()
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready values."""

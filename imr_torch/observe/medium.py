@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from imr_torch.errors import InputDataError
+from imr_torch.html import render
 from imr_torch.material import Belief, Marginal, ModelBelief, TruncatedNormal
 from imr_torch.material.media import named_medium
 from imr_torch.material.model_belief import add_parameters
@@ -176,14 +177,7 @@ class GelMedium:
 
     def report(self) -> str:
         """All values with who stated them, sources of named media, and what was stated twice."""
-        said: dict[str, list[str]] = {}
-        for name in (*self.sources, *(name for name in _FIELDS if name in self.assumed)):
-            source = self.sources.get(name, "assumed")
-            said.setdefault(source, []).append(f"{label(name)} {self.value(name)}")
-        text = "; ".join(
-            f"{', '.join(values)} ({source})" for source, values in said.items()
-        )
-        return "\n".join([f"Medium: {text}.", *(f"  {note}" for note in self.notes)])
+        return render("medium.txt", medium=self, fields=_FIELDS, label=label).rstrip("\n")
 
     def to_dict(self) -> dict[str, dict[str, Any]]:
         """JSON-ready: field -> value, unit, standard deviation (None: exact), whether it was

@@ -29,10 +29,11 @@ from typing import Any
 
 from imr_torch.errors import InputDataError, about_experiment
 from imr_torch.files import Document, read_json, write_json
+from imr_torch.html import render
 from imr_torch.reading.layout import RADIUS_UNITS, TIMES, Said
 from imr_torch.reading.names import unit_of
 from imr_torch.reading.statement import Statement
-from imr_torch.reading.traces import Given, Override, RadiusTrace, TraceSet
+from imr_torch.reading.traces import Given, Override, TraceSet
 
 OVERRIDES = {
     "Rmax_m": "max_radius_m",
@@ -224,9 +225,9 @@ class Sidecar:
         except InputDataError as error:
             raise self._refuse_file(f"{where}: {error}") from None
 
-    def added_to(self, traces: TraceSet) -> TraceSet:
-        """The traces with what it says about them, where their file says nothing itself, and a
-        note.
+    def added_to(self, traces: TraceSet, *, tolerance: float = 0.05) -> TraceSet:
+        """The traces with what it says about them, where their file says nothing itself, and notes;
+        ``tolerance``: of the stated frame rate.
         """
         if not self.exists or not len(traces):
             return traces
@@ -242,35 +243,16 @@ class Sidecar:
             }
             new.append(replace(trace, given=Given(**beside | own)))
         described = [name for name in traces.ids if name in self.entries]
-        notes = []
-        if self.entries:
-            notes.append(
-                f"{self.path}: gives the laboratory's values for {len(described)} of "
-                f"{len(traces)} experiments."
-            )
-        elif alone:
-            notes.append(f"{self.path}: gives the laboratory's values.")
-        notes += [text for trace in new if (text := self._compare_rate(trace))]
         known = {*described, *(x.experiment_id for x in traces.left_out)}
-        extra = [name for name in self.entries if name not in known]
-        if extra:
-            notes.append(
-                f"{self.path}: describes {len(extra)} experiment(s) that {self.file.name} does "
-                f"not hold: {', '.join(extra[:5])}."
-            )
+        notes = render(
+            "sidecar.txt",
+            **vars(self),
+            traces=new,
+            described=described,
+            extra=[name for name in self.entries if name not in known],
+            tolerance=tolerance,
+        ).splitlines()
         return TraceSet(tuple(new), traces.left_out, (*traces.notes, *notes))
-
-    def _compare_rate(self, trace: RadiusTrace, *, tolerance: float = 0.05) -> str:
-        """What is to be said of a frame rate that is not that of the frames."""
-        rate = trace.given.frame_rate_hz
-        interval = float(trace.time_s.diff().median())
-        if rate is None or abs(rate * interval - 1.0) <= tolerance:
-            return ""
-        return (
-            f"{self.path}: frame_rate_fps is {rate:g} and the frames of '{trace.experiment_id}' "
-            f"are {1e6 * interval:.4g} us apart, which is {1.0 / interval:.4g} per second; the "
-            "times of the file are used. Correct the one that is wrong."
-        )
 
 
 def state(
