@@ -12,7 +12,7 @@ from imr_torch.app.problems import problems_notified, problems_shown
 from imr_torch.app.workspace import CurveView, Workspace
 from imr_torch.cli.options import COLLAPSES
 from imr_torch.files import Document
-from imr_torch.reading.sidecar import OVERRIDES
+from imr_torch.reading.sidecar import OVERRIDES, state
 
 _FITTED = "#0072b2"
 _OUTSIDE = "#9a9a9a"
@@ -121,7 +121,8 @@ class CurvesView:
 
     def _state_values(self, view: CurveView, values: Mapping[str, float | None]) -> None:
         with problems_notified():
-            self.workspace.state_values(view, values)
+            trace = view.trace
+            state(trace.source, trace.experiment_id, values, alone=view.alone)
         self.draw_tab.refresh()
 
 

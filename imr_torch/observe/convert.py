@@ -66,7 +66,18 @@ def to_experiment(
     (180.9, 0.2)
     """
     top = landmarks.max_radius_m
-    value, sd = rest_radius or _measured_rest_radius(trace, landmarks)
+    if rest_radius is None:
+        if landmarks.rest_radius_m is None or landmarks.rest_radius_sd_m is None:
+            raise InputDataError(
+                f"{trace.where} has no rebound and no given "
+                "R_inf, so the rest radius cannot be measured from it. Give it: rest_radius=(value, "
+                "sd) of R_inf/Rmax (on the command line --rest-radius 0.2:0.1), or Rinf_m in the "
+                "JSON beside the file."
+            )
+        value = landmarks.rest_radius_m / top
+        sd = landmarks.rest_radius_sd_m / top
+    else:
+        value, sd = rest_radius
     if not 0.0 < value < 1.0:
         remedy = (
             "Give another assumed rest radius."
@@ -102,19 +113,6 @@ def to_experiment(
         nuisance,
         exposure,
     )
-
-
-def _measured_rest_radius(trace: RadiusTrace, landmarks: Landmarks) -> tuple[float, float]:
-    """R_inf/Rmax and its standard deviation."""
-    if landmarks.rest_radius_m is None or landmarks.rest_radius_sd_m is None:
-        raise InputDataError(
-            f"{trace.where} has no rebound and no given "
-            "R_inf, so the rest radius cannot be measured from it. Give it: rest_radius=(value, "
-            "sd) of R_inf/Rmax (on the command line --rest-radius 0.2:0.1), or Rinf_m in the JSON "
-            "beside the file."
-        )
-    top = landmarks.max_radius_m
-    return landmarks.rest_radius_m / top, landmarks.rest_radius_sd_m / top
 
 
 @dataclass(frozen=True)

@@ -115,18 +115,7 @@ class GelMedium:
         """What is inferred beside the gel since nobody stated it, in a sentence; empty where nothing
         is.
         """
-        values = [
-            f"{label(name)} ({self.value(name)})"
-            for name in self.sds
-            if name in self.assumed
-        ]
-        if not values:
-            return ""
-        return (
-            f"Not stated, and inferred with the gel from a wide prior: {', '.join(values)}. Measure "
-            "it and state it (--medium density=VALUE:SD), or name your gel if it is a known one (--medium "
-            "gelatin_10, polyacrylamide_10, ...): intervals become narrower."
-        )
+        return render("medium_unstated.txt", medium=self, label=label)
 
     def value(self, name: str) -> str:
         """A field's value with its standard deviation and unit, as text."""

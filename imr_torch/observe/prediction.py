@@ -161,13 +161,6 @@ class _Truth:
     beyond: Tensor
     distortion: Distortion | None
 
-    def measured_times(self, times: Tensor) -> Tensor:
-        """Inverse of the step from measured to true times."""
-        slow = (
-            times if self.distortion is None else times / torch.exp(self.distortion.clock)
-        )
-        return slow * self.scale[..., 0] - self.offset[..., 0]
-
 
 def _find_truth(
     simulator: Simulator,
@@ -310,7 +303,9 @@ def predict_collapse(
         )
     else:
         found = simulate(parameters, truth.designs, measured)
-    return truth.measured_times(found)
+    if truth.distortion is not None:
+        found = found / torch.exp(truth.distortion.clock)
+    return found * truth.scale[..., 0] - truth.offset[..., 0]
 
 
 @dataclass(eq=False)

@@ -3,7 +3,6 @@ found on the way.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from statistics import fmean, pstdev
 
@@ -149,9 +148,9 @@ def prepare(
             len(whole.times) - len(window.times),
         )
         firsts[name] = first
-    cautions += _find_outvoting_curve(experiments)
     cautions += render(
-        "unused_radii.txt",
+        "prepared_cautions.txt",
+        experiments=experiments,
         traces=traces,
         landmarks=landmarks,
         rest=rest_radius is None,
@@ -243,18 +242,6 @@ def _collapse_frame(
     at = marks.dimensionless_time(marks.collapse_times_s[number - 1], surroundings)
     near = (whole.times - at).abs().argsort()[:2]
     return float(whole.times[near[whole.radius[0, near].argmin()]])
-
-
-def _find_outvoting_curve(experiments: Sequence[Experiment]) -> tuple[str, ...]:
-    """Says where one of several curves has more frames than all others together."""
-    counts = [len(e.times) for e in experiments]
-    if len(counts) < 3 or 2 * max(counts) <= sum(counts):
-        return ()
-    largest = experiments[counts.index(max(counts))]
-    return (
-        f"experiment '{largest.label}' has {max(counts)} of the {sum(counts)} frames that are "
-        "fitted and decides the result; state the end of its window if it should not.",
-    )
 
 
 def _cut_window(

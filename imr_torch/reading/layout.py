@@ -21,8 +21,9 @@ from imr_torch.errors import InputDataError, check_fields, is_positive
 from imr_torch.files import read_table
 from imr_torch.reading.content import Content
 
-LENGTHS = {"m": 1.0, "um": 1e-6, "mm": 1e-3}
-TIMES = {"s": 1.0, "us": 1e-6, "ms": 1e-3, "ns": 1e-9}
+_UNITS = read_table("units")
+LENGTHS: dict[str, float] = _UNITS["lengths"]
+TIMES: dict[str, float] = _UNITS["times"]
 RADIUS_UNITS = (*LENGTHS, "px", "dimensionless")
 TIME_UNITS = (*TIMES, "frames", "dimensionless")
 

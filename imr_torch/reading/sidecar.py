@@ -28,28 +28,18 @@ from pathlib import Path
 from typing import Any
 
 from imr_torch.errors import InputDataError, about_experiment
-from imr_torch.files import Document, read_json, write_json
+from imr_torch.files import Document, read_json, read_table, write_json
 from imr_torch.html import render
 from imr_torch.reading.layout import RADIUS_UNITS, TIMES, Said
 from imr_torch.reading.names import unit_of
 from imr_torch.reading.statement import Statement
 from imr_torch.reading.traces import Given, Override, TraceSet
 
-OVERRIDES = {
-    "Rmax_m": "max_radius_m",
-    "Rmax_sd_m": "max_radius_sd_m",
-    "t_Rmax_s": "time_of_max_s",
-    "Rinf_m": "rest_radius_m",
-    "Rinf_sd_m": "rest_radius_sd_m",
-    "window_end_s": "window_end_s",
-}
+_TABLE = read_table("sidecar")
+OVERRIDES: dict[str, str] = _TABLE["override"]
 """Fields of ``override`` in the JSON file, and those of :class:`imr_torch.reading.Override`."""
-_OF_CAMERA = {"frame_rate_fps": "frame_rate_hz", "exposure_s": "exposure_s"}
-_NUMBERS = {
-    "Rinf_tail_std_m": "rest_radius_sd_m",
-    **{key: field for key, field in OVERRIDES.items() if key != "window_end_s"},
-    **_OF_CAMERA,
-}
+_OF_CAMERA = _TABLE["camera"]
+_NUMBERS = _TABLE["bubble"] | _OF_CAMERA
 _EXPECTED = "expected JSON with a list 'experiments' of entries with experiment_id, Rmax_m, Rinf_m, ..."
 
 

@@ -90,7 +90,14 @@ class Statement:
                 )
             if key in values:
                 raise InputDataError(f"{where}: {key} is stated twice; state it once.")
-            values[key] = _parse_pair(rest, part, where)
+            try:
+                value, *sd = map(float, rest.split(":", 1))
+            except ValueError:
+                raise InputDataError(
+                    f"{where}: {part!r} is not PROPERTY=VALUE or PROPERTY=VALUE:SD, for example "
+                    "density=1125:11."
+                ) from None
+            values[key] = (value, sd[0] if sd else None)
         return cls(name, values, where)
 
     @classmethod
@@ -129,19 +136,6 @@ class Statement:
         for name, (value, sd) in self.values.items():
             found[PROPERTIES[name].field] = (value, sd, self.where)
         return found
-
-
-def _parse_pair(text: str, part: str, where: str) -> Stated:
-    try:
-        value, *rest = map(float, text.split(":"))
-        if len(rest) > 1:
-            raise ValueError
-    except ValueError:
-        raise InputDataError(
-            f"{where}: {part!r} is not PROPERTY=VALUE or PROPERTY=VALUE:SD, for example "
-            "density=1125:11."
-        ) from None
-    return value, rest[0] if rest else None
 
 
 def _check_property(
