@@ -12,12 +12,14 @@ import pytest
 
 from imr_torch.assimilate import NOISE_ROUNDS
 from imr_torch.cli import main
-from imr_torch.cli.progress import Terminal, list_stages
+from imr_torch.cli.progress import Terminal
 from imr_torch.progress import ProgressLine, within
 
 GIVEN = {"noise": True, "curves": True, "population": False}
-CHARACTERIZE = list_stages("characterize", **GIVEN, figures=True)
-DIAGNOSE = list_stages("diagnose", noise=True)
+CHARACTERIZE = ("characterize", GIVEN | {"figures": True})
+DIAGNOSE = ("diagnose", {"noise": True})
+DESIGN = ("design", {})
+NOTHING = ("simulate", {})
 
 
 def iteration(number: int, detail: str = "nhkv cost 1") -> ProgressLine:
@@ -40,16 +42,18 @@ class Clock:
         return self.now
 
 
-def terminal(stages=(), *, live=False, **options):
+def terminal(stages=NOTHING, *, live=False, **options):
+    command, given = stages
     stream = io.StringIO()
     clock = Clock()
-    made = Terminal("characterize", stream=stream, live=live, clock=clock, **options)
-    made.plan_stages(stages)
+    made = Terminal(command, stream=stream, live=live, clock=clock, **options)
+    made.plan_stages(**given)
     return made, stream, clock
 
 
 def test_that_there_is_a_stage_for_every_round_of_the_noise():
-    assert [x.key for x in CHARACTERIZE].count("noise") == NOISE_ROUNDS
+    made, _, _ = terminal(CHARACTERIZE)
+    assert [x.key for x in made.stages].count("noise") == NOISE_ROUNDS
 
 
 def test_that_stage_step_and_time_left_are_said():
@@ -75,7 +79,7 @@ def test_that_stage_step_and_time_left_are_said():
 
 
 def test_that_no_time_left_is_said_where_the_last_stage_lasts_longer_than_planned():
-    made, _, clock = terminal(list_stages("characterize", **GIVEN, figures=False))
+    made, _, clock = terminal(("characterize", GIVEN | {"figures": False}))
     clock.now = 20.0
     made(stage("noise", "noise 1"))
     made(stage("fit test", "fit test: does the model explain the curves?"))
@@ -84,13 +88,13 @@ def test_that_no_time_left_is_said_where_the_last_stage_lasts_longer_than_planne
 
 
 def test_that_counted_steps_give_the_time_left():
-    made, _, clock = terminal(list_stages("design"))
+    made, _, clock = terminal(DESIGN)
     clock.now = 10.0
     text = "design 5/25: We  300.0  R_inf* 0.200  EIG 1.0 +- 0.1 nats"
     made(ProgressLine(text, step="design", done=5, of=25))
     assert (
         made.describe_state()
-        == "characterize, 0:10, 20 %, about 0:40 left: search of designs, design 5 of 25"
+        == "design, 0:10, 20 %, about 0:40 left: search of designs, design 5 of 25"
     )
 
 
@@ -158,7 +162,7 @@ def test_that_the_line_rewrites_itself_and_is_wiped_before_results(monkeypatch):
     assert sys.stdout is out
     assert out.getvalue() == "result\n"
     assert "\n" not in stream.getvalue()
-    assert len(re.findall("\riteration|\rcharacterize", stream.getvalue())) >= 2
+    assert len(re.findall("\rdiagnose", stream.getvalue())) >= 2
 
 
 def test_that_the_line_moves_while_nothing_is_reported():
@@ -174,7 +178,7 @@ def test_that_the_line_moves_while_nothing_is_reported():
 
 
 def test_that_a_program_gets_events_with_the_part_that_is_done():
-    made, stream, clock = terminal(list_stages("design"), events=True)
+    made, stream, clock = terminal(DESIGN, events=True)
     made("evidence of each model")
     clock.now = 10.0
     made(ProgressLine("design 5/25: We  300.0", step="design", done=5, of=25))

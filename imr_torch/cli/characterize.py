@@ -14,7 +14,6 @@ from imr_torch.cli.common import (
     write_result,
 )
 from imr_torch.cli.options import COLLAPSES
-from imr_torch.cli.progress import list_stages
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.export import write_mat
 from imr_torch.files import write_bytes
@@ -63,8 +62,7 @@ def _characterize(args: Namespace) -> None:
 
     estimate_noise = args.noise == "estimated"
     drawn = bool(args.out or args.html)
-    stages = list_stages(
-        args.command,
+    progress = args.terminal.plan_stages(
         noise=estimate_noise,
         curves=len(traces) > 0,
         population=args.population,
@@ -87,7 +85,7 @@ def _characterize(args: Namespace) -> None:
         over_time=args.over_time,
         seed=args.seed,
         on_prepared=show_prepared,
-        progress=args.terminal.plan_stages(stages),
+        progress=progress,
     )
     command = diagnose_command(args, choose_base(result.posterior))
     # before any figure, so that nothing is lost
@@ -98,7 +96,7 @@ def _characterize(args: Namespace) -> None:
     if args.out:
         write_bytes(Path(args.out) / "report.txt", report.encode())
     if drawn:
-        args.terminal(ProgressLine("figures", stage="figures"))
+        progress(ProgressLine("figures", stage="figures"))
     show_result(args, document, report=report)
     if args.mat:
         write_mat(document, args.mat)

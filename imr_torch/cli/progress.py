@@ -12,7 +12,7 @@ import shutil
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack, redirect_stdout
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, TextIO
@@ -36,25 +36,6 @@ class Stage:
     key: str = ""
 
 
-def list_stages(command: str, **given: bool) -> list[Stage]:
-    """The stages of a command (``data/stages.toml``).
-
-    Args:
-        command: its name.
-        given: what decides which stages there are: whether there are ``curves``, the ``noise`` is
-            inferred, a ``population`` is, ``figures`` are drawn.
-
-    >>> from imr_torch.cli.progress import list_stages
-    >>> [stage.name for stage in list_stages("diagnose", noise=True)][1:]
-    ['causes', 'location, reduction, next design', 'figures']
-    """
-    return [
-        Stage(row["name"], row["share"], row.get("key", ""))
-        for row in read_table("stages")[command]
-        if row.get("where", {}).items() <= given.items()
-    ]
-
-
 @dataclass(eq=False)
 class Terminal:
     """Where a command reports its progress; a context manager that ends the line.
@@ -73,11 +54,11 @@ class Terminal:
         early: part of the work before which no time left is said.
 
     >>> import io
-    >>> from imr_torch.cli.progress import Terminal, list_stages
+    >>> from imr_torch.cli.progress import Terminal
     >>> from imr_torch.progress import ProgressLine
     >>> stream = io.StringIO()
     >>> with Terminal("diagnose", stream=stream, clock=lambda: 0.0) as terminal:
-    ...     _ = terminal.plan_stages(list_stages("diagnose", noise=True))
+    ...     _ = terminal.plan_stages(noise=True)
     ...     terminal(ProgressLine("assimilation: iteration 3, nhkv cost -606.92", step="iteration 3"))
     >>> print(stream.getvalue().strip())
     diagnose, stage 1 of 4, 0:00: fit of the base model and test for a gap, iteration 3
@@ -105,11 +86,20 @@ class Terminal:
         self.plan_stages()
         self._begun = False
 
-    def plan_stages(self, stages: Sequence[Stage] = ()) -> "Terminal":
-        """Name the stages to come, from the first; returns itself."""
+    def plan_stages(self, **given: bool) -> "Terminal":
+        """Begin with the first of the command's stages (``data/stages.toml``); returns itself.
+
+        Args:
+            given: what decides which stages there are: whether there are ``curves``, the ``noise``
+                is inferred, a ``population`` is, ``figures`` are drawn.
+        """
         with self._lock:
-            self.stages = tuple(stages)
-            self.shares = [stage.share for stage in stages]
+            self.stages = [
+                Stage(row["name"], row["share"], row.get("key", ""))
+                for row in read_table("stages").get(self.command, ())
+                if row.get("where", {}).items() <= given.items()
+            ]
+            self.shares = [stage.share for stage in self.stages]
             self.at = 0
             self.step = ""
             self.part = 0.0

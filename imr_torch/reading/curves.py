@@ -89,8 +89,12 @@ class RawCurve:
         """
         if wrong.any():
             i = int(wrong.argmax())
-            before = {"before": self.time[i - 1], "row": self.rows[i - 1]}
-            said = text.format(radius=self.radius[i], time=self.time[i], **before)
+            said = text.format(
+                radius=self.radius[i],
+                time=self.time[i],
+                before=self.time[i - 1],
+                row=self.rows[i - 1],
+            )
             raise InputDataError(f"{self.where}, row {self.rows[i]}: {said}")
 
 

@@ -192,9 +192,8 @@ class RadiusTrace:
         """File and experiment, for messages."""
         return f"{self.source}: experiment '{self.experiment_id}'"
 
-    def _place_of(self, field: str, sample: int | None = None) -> str:
-        row = "" if sample is None else f", sample {sample} (counted from 0)"
-        return f"{self.where}, {field}{row}"
+    def _place_of(self, field: str) -> str:
+        return f"{self.where}, {field}"
 
     def _refuse_sample(self, wrong: Tensor, field: str, text: str) -> None:
         """Refuse the first sample of a field that is wrong, with its value and the one before."""
@@ -202,7 +201,8 @@ class RadiusTrace:
             i = int(wrong.nonzero()[0])
             values = getattr(self, field)
             said = text.format(values[i].item(), values[i - 1].item())
-            raise InputDataError(f"{self._place_of(field, i)} is {said}")
+            place = f"{self._place_of(field)}, sample {i} (counted from 0)"
+            raise InputDataError(f"{place} is {said}")
 
     def _check_values(self) -> None:
         time = self.time_s
@@ -347,7 +347,7 @@ class TraceSet:
                     f"No experiment '{key}' among the {len(self)} loaded: "
                     f"{', '.join(self.ids[:8]) or 'none'}{more}."
                 )
-            return self.traces[self.ids.index(key)]
+            key = self.ids.index(key)
         return self.traces[key]
 
     def select(self, ids: Sequence[str]) -> "TraceSet":
@@ -363,9 +363,6 @@ class TraceSet:
         note = f"Selected {len(chosen)} of {len(self)} experiments."
         return TraceSet(chosen, records, (*self.notes, note))
 
-    def __add__(self, other: "TraceSet") -> "TraceSet":
-        return TraceSet.join((self, other))
-
     @staticmethod
     def join(sets: Iterable["TraceSet"]) -> "TraceSet":
         """All sets as one; where ids clash between files, they are prefixed with the name of their
@@ -376,32 +373,27 @@ class TraceSet:
         """
         sets = tuple(sets)
         traces = [trace for s in sets for trace in s.traces]
+        names = {(t.source, t.experiment_id): t.experiment_id for t in traces}
+        for prefix in ("{0.stem}:", "{0.parent.name}/"):
+            counts = Counter(names.values())
+            names = {
+                key: (prefix.format(Path(key[0])) if counts[name] > 1 else "") + name
+                for key, name in names.items()
+            }
         left_out = [x for s in sets for x in s.left_out]
         notes = [x for s in sets for x in s.notes]
-        for folder in (False, True):
-            counts = Counter(t.experiment_id for t in traces)
-            new: dict[tuple[str, str], str] = {}
-            for t in traces:
-                if counts[t.experiment_id] > 1:
-                    file = Path(t.source)
-                    before = f"{file.parent.name}/" if folder else f"{file.stem}:"
-                    new[t.source, t.experiment_id] = f"{before}{t.experiment_id}"
-            traces = [
-                replace(
-                    t, experiment_id=new.get((t.source, t.experiment_id), t.experiment_id)
-                )
-                for t in traces
-            ]
-            left_out = [
-                replace(
-                    x, experiment_id=new.get((x.file, x.experiment_id), x.experiment_id)
-                )
-                for x in left_out
-            ]
-            notes += [
-                f"{file}: experiment '{old}' is named '{name}' here."
-                for (file, old), name in new.items()
-            ]
+        notes += [
+            f"{file}: experiment '{old}' is named '{name}' here."
+            for (file, old), name in names.items()
+            if name != old
+        ]
+        traces = [
+            replace(t, experiment_id=names[t.source, t.experiment_id]) for t in traces
+        ]
+        left_out = [
+            replace(x, experiment_id=names.get((x.file, x.experiment_id), x.experiment_id))
+            for x in left_out
+        ]
         return TraceSet(tuple(traces), tuple(left_out), tuple(notes))
 
     def report(self) -> str:
