@@ -27,7 +27,7 @@ class ResultsView:
     @ui.refreshable_method
     def draw_tab(self) -> None:
         """Draw it; the latest result is shown first."""
-        results = {result.name: result for result in self.runs.list_results()}
+        results = self.runs.list_results()
         if not results:
             ui.label("There are no results yet; run a command first.").classes("quiet")
             return

@@ -154,8 +154,8 @@ class RunView:
                 return MODELS
             case "effects":
                 return LIBRARY
-        results = self.runs.list_results()
-        return [result.name for result in results if (result.folder / kind).is_file()]
+        results = self.runs.list_results().items()
+        return [name for name, result in results if (result.folder / kind).is_file()]
 
     @ui.refreshable_method
     def _draw_command(self) -> None:
@@ -168,7 +168,7 @@ class RunView:
     @ui.refreshable_method
     def _draw_queue(self) -> None:
         """The run of this page that ended last, what is running, and what waits."""
-        results = {result.name: result for result in self.runs.list_results()}
+        results = self.runs.list_results()
         ended = [results[result.name] for result in self.mine if result.name in results]
         run = self.runs.current
         for result in [] if run else ended[-1:]:

@@ -23,6 +23,7 @@ from scipy.special import ndtri, stdtrit
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
+from imr_torch.files import read_table
 from imr_torch.float64 import tensor
 from imr_torch.observe.nuisance import FLOOR, Nuisance
 from imr_torch.reading.load import SHOT_ARRAY, SHOT_COLUMNS, is_shot_file
@@ -36,6 +37,7 @@ from imr_torch.units import Surroundings
 RESOLUTION_S = 20e-9
 """Error of a collapse time that a file does not state: what Zhu et al. (2025) give for theirs."""
 
+_SHOTS = read_table("limits")["shots"]
 _ERRORS = {
     "collapse_time_sd_s": "collapse_time_sd_s",
     "rmax_sd_m": "max_radius_sd_m",
@@ -76,20 +78,9 @@ class CollapseShot:
     stated: Statement | None = None
 
     def __post_init__(self) -> None:
-        top = self.max_radius_m
-        time = self.collapse_time_s
-        for name, value, low, high, error, sd in (
-            ("rmax_m", top, 1e-6, 1e-2, "max_radius_sd_m", self.max_radius_sd_m),
-            ("stretch", self.stretch, 1.2, 100.0, "stretch_sd", self.stretch_sd),
-            (
-                "collapse_time_s",
-                time,
-                1e-8,
-                1e-2,
-                "collapse_time_sd_s",
-                self.collapse_time_sd_s,
-            ),
-        ):
+        for name, (stated, error, low, high) in _SHOTS.items():
+            value = getattr(self, stated)
+            sd = getattr(self, error)
             if not low <= value <= high:
                 raise InputDataError(
                     f"{self.where}: {name} is {value:g}; expected {low:g} to {high:g}, in SI units."

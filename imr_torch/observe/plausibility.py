@@ -14,7 +14,6 @@ from types import SimpleNamespace
 from typing import NamedTuple
 
 import torch
-from torch import Tensor
 
 from imr_torch.errors import InputDataError
 from imr_torch.files import read_table
@@ -135,28 +134,13 @@ def check_experiment(
     return tuple(cautions)
 
 
-def _check_rise(where: str, radius: Tensor, largest: int) -> None:
-    """Refuse a record that ends at its maximum, or whose radius stays the same."""
-    if largest == len(radius) - 1:
-        raise InputDataError(
-            f"{where}: the largest radius, {1e6 * float(radius[largest]):.4g} um, is that of the "
-            "last frame, so the record holds no collapse. Check the units of the times, and that "
-            "radius and time are not exchanged."
-        )
-    if float(radius.amax() - radius.amin()) < LIMITS.least_change * float(radius[largest]):
-        raise InputDataError(
-            f"{where}: the radius stays within {100.0 * LIMITS.least_change:g} % of "
-            f"{1e6 * float(radius[largest]):.4g} um; expected "
-            "a bubble that collapses. Check which column holds the radii."
-        )
-
-
 def _check_stated(
-    where: str, trace: RadiusTrace, landmarks: Landmarks, surroundings: Surroundings
+    trace: RadiusTrace, landmarks: Landmarks, surroundings: Surroundings
 ) -> None:
     """Refuse standard deviations and a time of the maximum, stated by the laboratory, that cannot
     be meant.
     """
+    where = trace.where
     given = trace.given
     top = landmarks.max_radius_m
     for name, sd, largest in (
@@ -223,9 +207,19 @@ def check_maximum(
     time = trace.time_s
     radius = trace.radius_m
     k = int(radius.argmax())
-    _check_rise(where, radius, k)
-    _check_stated(where, trace, landmarks, surroundings)
     top = float(radius[k])
+    if k == len(radius) - 1:
+        raise InputDataError(
+            f"{where}: the largest radius, {1e6 * top:.4g} um, is that of the last frame, so the "
+            "record holds no collapse. Check the units of the times, and that radius and time are "
+            "not exchanged."
+        )
+    if float(radius.amax() - radius.amin()) < LIMITS.least_change * top:
+        raise InputDataError(
+            f"{where}: the radius stays within {100.0 * LIMITS.least_change:g} % of {1e6 * top:.4g} "
+            "um; expected a bubble that collapses. Check which column holds the radii."
+        )
+    _check_stated(trace, landmarks, surroundings)
     stated = trace.given.max_radius_m
     dense = 0 < k < len(radius) - 1 and float(
         time[k + 1] - time[k]

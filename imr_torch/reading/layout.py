@@ -24,6 +24,7 @@ from imr_torch.reading.content import Content
 _UNITS = read_table("units")
 LENGTHS: dict[str, float] = _UNITS["lengths"]
 TIMES: dict[str, float] = _UNITS["times"]
+SCALES: dict[str, tuple[str, str, str]] = _UNITS["scales"]
 RADIUS_UNITS = (*LENGTHS, "px", "dimensionless")
 TIME_UNITS = (*TIMES, "frames", "dimensionless")
 
@@ -123,11 +124,7 @@ class Layout:
                 "frame_interval=<seconds between frames>, into --layout."
             )
         units = (self.radius_unit, self.time_unit, self.rest_radius_unit)
-        for unit, setting, meaning in (
-            ("frames", "frame_interval", "seconds between frames"),
-            ("px", "pixel_size", "metres per pixel"),
-            ("dimensionless", "max_radius", "metres"),
-        ):
+        for unit, (setting, meaning, _) in SCALES.items():
             if unit in units and getattr(self, setting) is None:
                 raise InputDataError(
                     f"The layout has the unit '{unit}' and no {setting}; write "

@@ -18,7 +18,7 @@ from imr_torch.errors import InputDataError
 from imr_torch.files import read_table
 from imr_torch.html import render
 from imr_torch.reading.content import Content
-from imr_torch.reading.layout import LENGTHS, TIMES, Layout, Said
+from imr_torch.reading.layout import LENGTHS, SCALES, TIMES, Layout, Said
 from imr_torch.reading.traces import MIN_SAMPLES, RADIUS_RANGE_M
 
 _TABLE = read_table("headings")
@@ -298,18 +298,8 @@ def _check_scales(
     radius_unit = radii[0].unit
     known = f"radius={'+'.join(h.name for h in radii)},radius_unit={radius_unit}"
     known += f",time={time.name},time_unit={time.unit}" if time != _COUNTED else ""
-    dimensionless = "dimensionless" in (radius_unit, time.unit)
-    for needed, key, setting, meaning in (
-        (radius_unit == "px", "pixel_size_m", "pixel_size", "metres per pixel"),
-        (
-            time.unit == "frames",
-            "frame_rate_fps",
-            "frame_interval",
-            "seconds between frames",
-        ),
-        (dimensionless, "Rmax_m", "max_radius", "metres"),
-    ):
-        if needed and getattr(said, setting) is None:
+    for unit, (setting, meaning, key) in SCALES.items():
+        if unit in (radius_unit, time.unit) and getattr(said, setting) is None:
             raise InputDataError(
                 f"{file}: radii are in {radius_unit} and times in {time.unit}, and no {setting} is "
                 f"known; write {key} once into the JSON file of the same name beside it, "

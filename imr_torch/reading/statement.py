@@ -115,7 +115,8 @@ class Statement:
                     f"{where}: medium: {key} is {given!r}; write a number in SI units, or [value, "
                     "sd]."
                 )
-            values[key] = (float(parts[0]), float(parts[1]) if len(parts) == 2 else None)
+            value, sd = [*map(float, parts), None][:2]
+            values[key] = (value, sd)
         name = document.get("name", "")
         if not isinstance(name, str):
             raise InputDataError(
