@@ -28,10 +28,11 @@ RAYLEIGH_TIME = 0.915
 
 
 class Range(NamedTuple):
-    """Values that are possible, and those that are usual: smallest and largest each."""
+    """Values that are possible, and those that are usual, smallest and largest each; what is said of one."""
 
     possible: Sequence[float]
     usual: Sequence[float]
+    text: str = ""
 
 
 _TABLE = read_table("limits")
@@ -88,31 +89,22 @@ def check_experiment(
             f"{where}: the largest frame is at t* = {at:.2f}; expected time zero at the maximum "
             f"radius, within {LIMITS.latest_maximum}.{advice}"
         )
-    found = [
-        (RANGES["weber"], experiment.design[0], "We is {:.4g}"),
-        (RANGES["rest_radius"], experiment.design[1], "R_inf/Rmax is {:.4g}"),
-        (RANGES["largest_radius"], largest, "the largest frame has R/Rmax = {:.3g}"),
-    ]
-    if first < math.inf:
-        cavity = f"that of an empty cavity in water at {RAYLEIGH_TIME}, in a gel of 70 kPa at 0.55"
-        collapses = RANGES["first_collapse"]
-        if cut:
-            usual = (LIMITS.collapse_after_cut, collapses.usual[1])
-            collapses = collapses._replace(usual=usual)
-        found.append(
-            (collapses, first, f"the first collapse is at t* = {{:.3g}} ({cavity})")
-        )
+    weber, rest = experiment.design
+    found = {"weber": weber, "rest_radius": rest, "largest_radius": largest}
+    found |= {"first_collapse": first} if first < math.inf else {}
     cautions = []
-    for limits, value, text in found:
-        what = f"{where}: {text.format(value)}"
+    for name, value in found.items():
+        limits = RANGES[name]
+        low, high = limits.usual
+        if name == "first_collapse" and cut:
+            low = LIMITS.collapse_after_cut
+        what = f"{where}: {limits.text.format(value)}"
         if not limits.possible[0] <= value <= limits.possible[1]:
             raise InputDataError(
                 f"{what}; possible is {limits.possible[0]:g} to {limits.possible[1]:g}.{advice}"
             )
-        if not limits.usual[0] <= value <= limits.usual[1]:
-            cautions.append(
-                f"{what}; usual is {limits.usual[0]:g} to {limits.usual[1]:g}.{advice}"
-            )
+        if not low <= value <= high:
+            cautions.append(f"{what}; usual is {low:g} to {high:g}.{advice}")
     if first == math.inf and not LIMITS.duration[0] <= last <= LIMITS.duration[1]:
         text = f"{where}: the record lasts t* = {last:.3g} and holds no collapse."
         if last < LIMITS.duration[0]:

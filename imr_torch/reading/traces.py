@@ -17,13 +17,13 @@ from jaxtyping import Real
 from torch import Tensor
 
 from imr_torch.errors import InputDataError, check_fields, is_positive
+from imr_torch.files import read_table
 from imr_torch.html import render
 from imr_torch.reading.statement import Statement
 
-RADIUS_RANGE_M = (1e-7, 1e-1)
-DURATION_RANGE_S = (1e-7, 1.0)
+_SIZES = read_table("limits")["sizes"]
+RADIUS_RANGE_M: tuple[float, float] = _SIZES["radius_m"]["possible"]
 MIN_SAMPLES = 5
-_IN_HEADER = " If the header of the file names the unit, correct it there."
 
 
 @dataclass(frozen=True)
@@ -217,39 +217,22 @@ class RadiusTrace:
         self._refuse_sample(backwards, "time_s", text)
 
     def _check_units(self) -> None:
-        top = float(self.radius_m.max())
-        smallest, largest = RADIUS_RANGE_M
-        if not smallest <= top <= largest:
-            guess = "metres converted once too often: write radius_unit=m"
-            if top >= 10.0:
-                guess = (
-                    "micrometres given as metres: write radius_unit=um (or px with a pixel_size "
-                    "if the numbers are pixels)"
+        duration = float(self.time_s[-1] - self.time_s[0])
+        sizes = {"radius_m": float(self.radius_m.max()), "time_s": duration}
+        for name, value in sizes.items():
+            size = _SIZES[name]
+            low, high = size["possible"]
+            if not low <= value <= high:
+                guess = next(said for least, said in size["guesses"] if value >= least)
+                raise InputDataError(
+                    f"{self._place_of(name)} {size['text'].format(value)}. This looks like {guess} "
+                    "into --layout. If the header of the file names the unit, correct it there."
                 )
-            elif top > largest:
-                guess = "millimetres given as metres: write radius_unit=mm"
-            raise InputDataError(
-                f"{self._place_of('radius_m')} is {top:.4g} at its largest, in m; bubbles lie between "
-                f"1e-07 and 0.1 m. This looks like {guess} into --layout.{_IN_HEADER}"
-            )
         text = (
             "{:.4g} m, below what a camera can see (1e-07 m): set the frame to NaN if the bubble "
             "was lost in it."
         )
-        self._refuse_sample(self.radius_m < smallest, "radius_m", text)
-        duration = float(self.time_s[-1] - self.time_s[0])
-        shortest, longest = DURATION_RANGE_S
-        if not shortest <= duration <= longest:
-            guess = "seconds converted once too often: write time_unit=s"
-            if duration > longest:
-                guess = (
-                    "microseconds (or frames) given as seconds: write time_unit=us (or frames "
-                    "with a frame_interval)"
-                )
-            raise InputDataError(
-                f"{self._place_of('time_s')} spans {duration:.4g} s; records last between 1e-07 and 1 "
-                f"s. This looks like {guess} into --layout.{_IN_HEADER}"
-            )
+        self._refuse_sample(self.radius_m < RADIUS_RANGE_M[0], "radius_m", text)
 
 
 @dataclass(frozen=True)
