@@ -14,7 +14,6 @@ import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -135,12 +134,12 @@ class CollapseTime:
     [0.91]
     """
 
-    has_gaps: ClassVar[bool] = False
-    exposure: ClassVar[float] = 0.0
-    repeats: ClassVar[int] = 1
-    noise_factor: ClassVar[float] = 1.0
-    noise_factor_sd: ClassVar[float] = 0.0
-    weight: ClassVar[float] = 1.0
+    has_gaps = False
+    exposure = 0.0
+    repeats = 1
+    noise_factor = 1.0
+    noise_factor_sd = 0.0
+    weight = 1.0
 
     label: str
     design: tuple[float, float]

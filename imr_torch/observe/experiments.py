@@ -241,7 +241,7 @@ class ExperimentBatch:
         return torch.tensor([isinstance(e, CollapseTime) for e in self.experiments])
 
     @cached_property
-    def _collapse_sds(self) -> Float[Tensor, "experiments 1"]:
+    def _collapse_sds(self) -> Tensor:
         """Errors of collapse times; 1 for curves."""
         return tensor([[getattr(e, "whole_sd", 1.0)] for e in self.experiments])
 

@@ -21,7 +21,7 @@ from imr_torch.html import render
 from imr_torch.material import Belief, Marginal, ModelBelief, TruncatedNormal
 from imr_torch.material.media import named_medium
 from imr_torch.material.model_belief import add_parameters
-from imr_torch.reading.statement import PROPERTIES, Statement
+from imr_torch.reading.statement import PROPERTIES, Entry, Statement
 from imr_torch.simulate import Simulator
 from imr_torch.simulate.conditions import saturation_pressure
 from imr_torch.simulate.setting import OF_MEDIUM
@@ -217,7 +217,7 @@ def gel_medium(
     statements = [*([command] if command else []), *beside]
     stated = [s.values["temperature"][0] for s in statements if "temperature" in s.values]
     warm = next(iter(stated), base.temperature)
-    found: dict[str, tuple[float, float | None, str]] = {}
+    found: dict[str, Entry] = {}
     notes = []
     for statement in statements:
         if statement.name:
@@ -251,5 +251,5 @@ def gel_medium(
     )
 
 
-def _write_value(entry: tuple[float, float | None, str]) -> str:
+def _write_value(entry: Entry) -> str:
     return f"{entry[0]:.5g}" + ("" if entry[1] is None else f" +- {entry[1]:.2g}")

@@ -201,12 +201,12 @@ def _find_truth(
 
 def _simulate_bubbles(
     simulator: Simulator,
-    parameters: ParameterVectors,
-    designs: Float[Tensor, "*#batch experiments 2"],
-    times: Frames,
+    parameters: Tensor,
+    designs: Tensor,
+    times: Tensor,
     *,
     bundled: bool = False,
-) -> tuple[Frames, Frames]:
+) -> tuple[Tensor, Tensor]:
     """Radius and velocity of each gel in each experiment, dimensionless.
 
     Args:

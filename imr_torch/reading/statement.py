@@ -15,6 +15,8 @@ from imr_torch.material.media import named_medium
 
 Stated = tuple[float, float | None]
 """A value and its standard deviation, which is None where the value is taken as exact."""
+Entry = tuple[float, float | None, str]
+"""The same with who stated it."""
 
 
 @dataclass(frozen=True)
@@ -124,12 +126,12 @@ class Statement:
             )
         return cls(name, values, where)
 
-    def at(self, temperature: float) -> dict[str, tuple[float, float | None, str]]:
+    def at(self, temperature: float) -> dict[str, Entry]:
         """Field of the surroundings -> value, standard deviation and source.
 
         Those of the name at a temperature in K.
         """
-        found: dict[str, tuple[float, float | None, str]] = {}
+        found: dict[str, Entry] = {}
         if self.name:
             medium = named_medium(self.name)
             for name, value in medium.at(temperature).items():
