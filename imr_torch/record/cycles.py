@@ -206,7 +206,7 @@ def _describe_cycle(
 def _take_branch(curve: SmoothCurve, side: int) -> SmoothCurve:
     """Growth (-1) or collapse (1), from the smallest radius to the maximum."""
     rows = slice(int(curve.y.argmax()), None, side)
-    return SmoothCurve(*(values[rows][::-1] for values in vars(curve).values()))
+    return SmoothCurve(*(values[rows][::-1] for values in curve))
 
 
 def _read_pressures(

@@ -23,8 +23,11 @@ def record_figure(record: Mapping[str, Any]) -> Figure:
     >>> len(record_figure(Record((ShotRecord("shot 1", ()),)).to_dict()).axes)
     5
     """
-    rows = [["pressure"] * 2, ["chord", "skewness"], ["viscosity", "modulus"]]
-    figure, axes = plt.subplot_mosaic(rows, figsize=(5.8, 6.6), layout="constrained")
+    figure, axes = plt.subplot_mosaic(
+        [["pressure", "pressure"], ["chord", "skewness"], ["viscosity", "modulus"]],
+        figsize=(5.8, 6.6),
+        layout="constrained",
+    )
     _plot_pressure(record, axes["pressure"])
     for name, (scale, label) in read_table("record")["panels"].items():
         _plot_over_size(record, name, scale, axes[name])
