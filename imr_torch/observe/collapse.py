@@ -11,7 +11,7 @@ collapse time is a formula; here the bubble is simulated (:mod:`imr_torch.observ
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -145,7 +145,7 @@ class CollapseTime:
     design: tuple[float, float]
     time: float
     sd: float
-    nuisance: Nuisance = field(default_factory=Nuisance)
+    nuisance: Nuisance = Nuisance()
     scatter: float = 0.0
 
     def __post_init__(self) -> None:

@@ -225,7 +225,7 @@ def load_set(
     path: str | Path,
     *,
     nuisance: Nuisance = FLOOR,
-    surroundings: Surroundings | None = None,
+    surroundings: Surroundings = Surroundings(),
 ) -> list[Experiment]:
     """Experiments of a set, one a design.
 
@@ -251,7 +251,6 @@ def load_set(
     >>> experiment.label, experiment.repeats
     ('design 1', 2)
     """
-    outer = surroundings or Surroundings()
     arrays = read_arrays(path, _SHAPES)
     if arrays["we"].ndim != 1 or not len(arrays["we"]):
         raise InputDataError(
@@ -276,9 +275,9 @@ def load_set(
     for i, (weber, rest) in enumerate(zip(arrays["we"], arrays["rinf_star"], strict=True)):
         label = f"design {i + 1}"
         where = f"{path}: {label}"
-        size = outer.max_radius(float(weber))
+        size = surroundings.max_radius(float(weber))
         radius = torch.as_tensor(arrays["radius_m"][i]) / size
-        times = torch.as_tensor(arrays["time_s"][i]) / outer.time_scale(size)
+        times = torch.as_tensor(arrays["time_s"][i]) / surroundings.time_scale(size)
         seen = torch.isfinite(radius).any(0) & torch.isfinite(times)
         if int(seen.sum()) < 2:
             raise InputDataError(
@@ -292,7 +291,7 @@ def load_set(
             found = Experiment(label, design, times[seen], radius, nuisance)
         except InputDataError as error:
             raise InputDataError(f"{where}: {error}") from None
-        _check_units(where, found, size, outer.time_scale(size))
+        _check_units(where, found, size, surroundings.time_scale(size))
         remedy = "the Weber numbers, and that time zero is the maximum"
         check_experiment(found, where, remedy=remedy)
         experiments.append(found)

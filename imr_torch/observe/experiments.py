@@ -58,7 +58,7 @@ class Experiment:
     design: tuple[float, float]
     times: FrameValues
     radius: Float[Tensor, "repeats frames"]
-    nuisance: Nuisance = field(default_factory=Nuisance)
+    nuisance: Nuisance = Nuisance()
     exposure: float = 0.0
     noise_factor: float = 1.0
     noise_factor_sd: float = 0.0
@@ -208,7 +208,7 @@ class ExperimentBatch:
     """
 
     experiments: tuple[Experiment | CollapseTime, ...]
-    noise: Noise = field(default_factory=Noise)
+    noise: Noise = Noise()
     between: Mapping[str, float] = field(default_factory=dict)
     noise_laws: NoiseLaws | None = None
 

@@ -50,7 +50,7 @@ class GelMedium:
     Medium: density 1125 +- 11 kg/m^3 (--medium); pressure 1.01
     """
 
-    surroundings: Surroundings = field(default_factory=Surroundings)
+    surroundings: Surroundings = Surroundings()
     sds: Mapping[str, float] = field(default_factory=dict)
     sources: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()

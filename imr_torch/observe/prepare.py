@@ -67,7 +67,7 @@ class Prepared:
 
 def prepare(
     traces: TraceSet,
-    surroundings: Surroundings | None = None,
+    surroundings: Surroundings = Surroundings(),
     *,
     collapses: int = 2,
     rest_radius: tuple[float, float] | None = None,
@@ -115,15 +115,14 @@ def prepare(
     experiments = []
     frames = {}
     firsts = {}
-    outer = surroundings or Surroundings()
     kept = []
     for record in traces:
         name = record.experiment_id
         marks = landmarks[name]
         with about_experiment(name):
-            cautions += check_maximum(record, marks, outer)
+            cautions += check_maximum(record, marks, surroundings)
             trace = _thin_dense_record(
-                record, outer.time_scale(marks.max_radius_m), most_frames
+                record, surroundings.time_scale(marks.max_radius_m), most_frames
             )
             kept.append(trace)
             if len(trace) < len(record):
@@ -132,15 +131,15 @@ def prepare(
                     "so many more would change little."
                 )
             whole = to_experiment(
-                trace, marks, outer, rest_radius=rest_radius, growth=growth
+                trace, marks, surroundings, rest_radius=rest_radius, growth=growth
             )
-            first = _first_collapse(whole, marks, outer)
+            first = _first_collapse(whole, marks, surroundings)
             cut = marks.max_method == "edge"
             remedy = "and that the record begins at its maximum radius" if cut else ""
             cautions += check_experiment(
                 whole, trace.where, first=first, cut=cut, remedy=remedy
             )
-            window = _cut_window(trace, whole, marks, outer, collapses)
+            window = _cut_window(trace, whole, marks, surroundings, collapses)
         experiments.append(window)
         frames[name] = (
             len(trace),

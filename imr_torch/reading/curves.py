@@ -5,7 +5,7 @@ A :class:`~imr_torch.reading.layout.Layout` says what names mean.
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -60,7 +60,7 @@ class RawCurve:
     radius: np.ndarray
     rows: np.ndarray
     asphericity: np.ndarray | None = None
-    given: Given = field(default_factory=Given)
+    given: Given = Given()
     left_out: tuple[LeftOut, ...] = ()
 
     @property

@@ -136,9 +136,9 @@ class Record:
 
 def describe_record(
     traces: Iterable[RadiusTrace],
-    surroundings: Surroundings | None = None,
+    surroundings: Surroundings = Surroundings(),
     *,
-    options: RecordOptions | None = None,
+    options: RecordOptions = RecordOptions(),
 ) -> Record:
     """What records show without a model of the gel.
 
@@ -157,12 +157,10 @@ def describe_record(
     >>> record.shots[0].cycles[0].frames, record.sentences()[-1]
     (95, 'Two shots cannot outvote each other, so of fewer than three none stands out.')
     """
-    options = options or RecordOptions()
-    outer = surroundings or Surroundings()
     shots = [
         ShotRecord(
             trace.experiment_id,
-            describe_cycles(trace, find_landmarks(trace), outer, options),
+            describe_cycles(trace, find_landmarks(trace), surroundings, options),
         )
         for trace in traces
     ]
