@@ -94,14 +94,16 @@ def to_experiment(
     if growth is not None:
         below = times[~kept & (trace.radius_m < growth * top)]
         kept = times > (below[-1] if len(below) else -torch.inf)
+    errors = {
+        "max_radius": landmarks.max_radius_sd_m / top,
+        "time_zero": landmarks.time_of_max_sd_s / scale,
+        "rest_radius": sd / value,
+    }
     nuisance = Nuisance(
-        max_radius=min(
-            math.hypot(landmarks.max_radius_sd_m / top, FLOOR.max_radius), widest
-        ),
-        time_zero=min(
-            math.hypot(landmarks.time_of_max_sd_s / scale, FLOOR.time_zero), widest
-        ),
-        rest_radius=min(math.hypot(sd / value, FLOOR.rest_radius), widest),
+        **{
+            name: min(math.hypot(error, getattr(FLOOR, name)), widest)
+            for name, error in errors.items()
+        }
     )
     design = (surroundings.weber(top), value)
     exposure = (trace.given.exposure_s or 0.0) / scale
@@ -252,32 +254,29 @@ def load_set(
     ('design 1', 2)
     """
     arrays = read_arrays(path, _SHAPES)
-    if arrays["we"].ndim != 1 or not len(arrays["we"]):
+    all_times, all_radii, webers, rests = arrays.values()
+    if webers.ndim != 1 or not len(webers):
         raise InputDataError(
-            f"{path}: we has shape {arrays['we'].shape}; expected a Weber number a design, of one "
-            "at least."
+            f"{path}: we has shape {webers.shape}; expected a Weber number a design, of one at least."
         )
     for name, dimensions in _SHAPES.items():
-        if (
-            arrays[name].ndim != dimensions
-            or arrays[name].shape[0] != arrays["we"].shape[0]
-        ):
+        array = arrays[name]
+        if array.ndim != dimensions or len(array) != len(webers):
             raise InputDataError(
-                f"{path}: {name} has shape {arrays[name].shape}; expected {dimensions} dimensions, "
-                f"the first of {arrays['we'].shape[0]} designs."
+                f"{path}: {name} has shape {array.shape}; expected {dimensions} dimensions, the "
+                f"first of {len(webers)} designs."
             )
-    if arrays["radius_m"].shape[2] != arrays["time_s"].shape[1]:
+    if all_radii.shape[2] != all_times.shape[1]:
         raise InputDataError(
-            f"{path}: radius_m has {arrays['radius_m'].shape[2]} frames, time_s "
-            f"{arrays['time_s'].shape[1]}."
+            f"{path}: radius_m has {all_radii.shape[2]} frames, time_s {all_times.shape[1]}."
         )
     experiments = []
-    for i, (weber, rest) in enumerate(zip(arrays["we"], arrays["rinf_star"], strict=True)):
+    for i, (weber, rest) in enumerate(zip(webers.tolist(), rests.tolist(), strict=True)):
         label = f"design {i + 1}"
         where = f"{path}: {label}"
-        size = surroundings.max_radius(float(weber))
-        radius = torch.as_tensor(arrays["radius_m"][i]) / size
-        times = torch.as_tensor(arrays["time_s"][i]) / surroundings.time_scale(size)
+        size = surroundings.max_radius(weber)
+        radius = torch.as_tensor(all_radii[i]) / size
+        times = torch.as_tensor(all_times[i]) / surroundings.time_scale(size)
         seen = torch.isfinite(radius).any(0) & torch.isfinite(times)
         if int(seen.sum()) < 2:
             raise InputDataError(
@@ -286,9 +285,8 @@ def load_set(
             )
         radius = radius[:, seen]
         radius = radius[torch.isfinite(radius).any(1)]
-        design = (float(weber), float(rest))
         try:
-            found = Experiment(label, design, times[seen], radius, nuisance)
+            found = Experiment(label, (weber, rest), times[seen], radius, nuisance)
         except InputDataError as error:
             raise InputDataError(f"{where}: {error}") from None
         _check_units(where, found, size, surroundings.time_scale(size))
