@@ -7,6 +7,7 @@ import itertools
 import json
 import re
 import sys
+from types import SimpleNamespace
 
 import pytest
 
@@ -14,12 +15,6 @@ from imr_torch.assimilate import NOISE_ROUNDS
 from imr_torch.cli import main
 from imr_torch.cli.progress import Terminal
 from imr_torch.progress import ProgressLine, within
-
-GIVEN = {"noise": True, "curves": True, "population": False}
-CHARACTERIZE = ("characterize", GIVEN | {"figures": True})
-DIAGNOSE = ("diagnose", {"noise": True})
-DESIGN = ("design", {})
-NOTHING = ("simulate", {})
 
 
 def iteration(number: int, detail: str = "nhkv cost 1") -> ProgressLine:
@@ -34,30 +29,18 @@ def stage(key: str, text: str) -> ProgressLine:
 LONG = iteration(4, ", ".join(f"model{i} cost -606.92 gradient 5.6e+01" for i in range(30)))
 
 
-class Clock:
-    def __init__(self):
-        self.now = 0.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
-def terminal(stages=NOTHING, *, live=False, **options):
-    command, given = stages
+def terminal(command="simulate", *, live=False, figures=True, **options):
     stream = io.StringIO()
-    clock = Clock()
-    made = Terminal(command, stream=stream, live=live, clock=clock, **options)
-    made.plan_stages(**given)
+    clock = SimpleNamespace(now=0.0)
+    options |= {"stream": stream, "clock": lambda: clock.now}
+    made = Terminal(command, live=live, **options)
+    made.plan_stages(noise=True, curves=True, figures=figures)
     return made, stream, clock
 
 
-def test_that_there_is_a_stage_for_every_round_of_the_noise():
-    made, _, _ = terminal(CHARACTERIZE)
-    assert [x.key for x in made.stages].count("noise") == NOISE_ROUNDS
-
-
 def test_that_stage_step_and_time_left_are_said():
-    made, stream, clock = terminal(CHARACTERIZE)
+    made, stream, clock = terminal("characterize")
+    assert [x.key for x in made.stages].count("noise") == NOISE_ROUNDS
     made(LONG)
     clock.now = 20.0
     made(stage("noise", "noise 0.09 x the published law"))
@@ -79,7 +62,7 @@ def test_that_stage_step_and_time_left_are_said():
 
 
 def test_that_no_time_left_is_said_where_the_last_stage_lasts_longer_than_planned():
-    made, _, clock = terminal(("characterize", GIVEN | {"figures": False}))
+    made, _, clock = terminal("characterize", figures=False)
     clock.now = 20.0
     made(stage("noise", "noise 1"))
     made(stage("fit test", "fit test: does the model explain the curves?"))
@@ -88,7 +71,7 @@ def test_that_no_time_left_is_said_where_the_last_stage_lasts_longer_than_planne
 
 
 def test_that_counted_steps_give_the_time_left():
-    made, _, clock = terminal(DESIGN)
+    made, _, clock = terminal("design")
     clock.now = 10.0
     text = "design 5/25: We  300.0  R_inf* 0.200  EIG 1.0 +- 0.1 nats"
     made(ProgressLine(text, step="design", done=5, of=25))
@@ -99,14 +82,14 @@ def test_that_counted_steps_give_the_time_left():
 
 
 def test_that_a_stage_that_is_skipped_is_passed_over_and_leaves_its_time_out():
-    made, _, clock = terminal(DIAGNOSE)
+    made, _, clock = terminal("diagnose")
     clock.now = 10.0
     made(stage("figures", "gap test: p = 0.5"))
     assert "stage 4 of 4, 0:10, 77 %, about 0:03 left" in made.describe_state()
 
 
 def test_that_more_selections_than_were_expected_take_more_time_and_less_are_done_with():
-    made, _, clock = terminal(DIAGNOSE)
+    made, _, clock = terminal("diagnose")
     clock.now = 10.0
     made(stage("effects", "attribution"))
     search = ProgressLine("search", step="16 of 32 models fitted", part=0.5)
@@ -125,7 +108,7 @@ def test_that_more_selections_than_were_expected_take_more_time_and_less_are_don
 
 
 def test_that_a_log_gets_a_line_per_stage_and_one_every_half_minute():
-    made, stream, clock = terminal(CHARACTERIZE)
+    made, stream, clock = terminal("characterize")
     for second in range(65):
         clock.now = float(second)
         made(iteration(second + 1))
@@ -134,7 +117,7 @@ def test_that_a_log_gets_a_line_per_stage_and_one_every_half_minute():
 
 
 def test_that_a_log_says_a_stage_when_it_begins_though_time_passes_meanwhile():
-    made, stream, _ = terminal(CHARACTERIZE)
+    made, stream, _ = terminal("characterize")
     made.clock = itertools.count().__next__
     made(LONG)
     made(stage("noise", "noise 0.09 x the published law"))
@@ -153,7 +136,7 @@ def test_that_verbose_prints_every_line_as_it_is_and_quiet_none():
 def test_that_the_line_rewrites_itself_and_is_wiped_before_results(monkeypatch):
     out = io.StringIO()
     monkeypatch.setattr(sys, "stdout", out)
-    made, stream, _ = terminal(DIAGNOSE, live=True)
+    made, stream, _ = terminal("diagnose", live=True)
     with made:
         made(iteration(1))
         made(iteration(12))
@@ -166,7 +149,7 @@ def test_that_the_line_rewrites_itself_and_is_wiped_before_results(monkeypatch):
 
 
 def test_that_the_line_moves_while_nothing_is_reported():
-    made, stream, clock = terminal(DIAGNOSE, live=True, every=0.01)
+    made, stream, clock = terminal("diagnose", live=True, every=0.01)
     with made:
         made(iteration(1))
         clock.now = 61.0
@@ -178,7 +161,7 @@ def test_that_the_line_moves_while_nothing_is_reported():
 
 
 def test_that_a_program_gets_events_with_the_part_that_is_done():
-    made, stream, clock = terminal(DESIGN, events=True)
+    made, stream, clock = terminal("design", events=True)
     made("evidence of each model")
     clock.now = 10.0
     made(ProgressLine("design 5/25: We  300.0", step="design", done=5, of=25))
