@@ -31,13 +31,16 @@ class ResultsView:
         if not results:
             ui.label("There are no results yet; run a command first.").classes("quiet")
             return
-        self.name = self.name if self.name in results else next(iter(results))
-        result = results[self.name]
+        latest = next(iter(results))
+        result = results[self.name if self.name in results else latest]
         names = {name: f"{name}: {one.outcome}" for name, one in results.items()}
         with ui.row().classes("w-full items-center"):
-            ui.select(names, value=self.name, label="Result").bind_value(
-                self, "name"
-            ).on_value_change(self.draw_tab.refresh).style("min-width: min(24rem, 100%)")
+            ui.select(
+                names,
+                value=result.name,
+                label="Result",
+                on_change=lambda event: self._choose_result(event.value),
+            ).style("min-width: min(24rem, 100%)")
             ui.link("Download everything (zip)", f"/result/{result.name}/archive")
             if result.page:
                 ui.link(
@@ -66,3 +69,7 @@ class ResultsView:
         if output := result.read_text_of("output.txt"):
             with ui.expansion("What the command printed", icon="notes").classes("w-full"):
                 ui.label(output).classes("lines text-body2")
+
+    def _choose_result(self, name: str) -> None:
+        self.name = name
+        self.draw_tab.refresh()
