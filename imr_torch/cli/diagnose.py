@@ -7,12 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from imr_torch.characterization import medium_document, medium_of
-from imr_torch.cli.common import refuse_options, show_result, simulator_of, write_result
-from imr_torch.cli.progress import diagnose_stages
+from imr_torch.cli.common import refuse_options, report_result, simulator_of
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap import (
     Effect,
-    describe,
     diagnose,
     examine,
     library,
@@ -61,7 +59,7 @@ def run_command(args: Namespace) -> None:
         )
     known_noise = "published" if args.files[0].lower().endswith(_SET) else "estimated"
     estimate_noise = (args.noise or known_noise) == "estimated"
-    progress = args.terminal.plan_stages(diagnose_stages(estimate_noise=estimate_noise))
+    progress = args.terminal.plan_stages(noise=estimate_noise)
     report = diagnose(
         fitted,
         base=base,
@@ -79,11 +77,9 @@ def run_command(args: Namespace) -> None:
     )
     document = to_json(report, parts, simulator=simulator) | {"record": record.to_dict()}
     document |= medium_document(medium, assumed, fit.posterior)
-    print(describe(document))
     args.gel_medium = medium
     progress(ProgressLine("figures", stage="figures"))
-    document = write_result(args, document | {"seconds": time.perf_counter() - started})
-    show_result(args, document)
+    report_result(args, document | {"seconds": time.perf_counter() - started})
     if not report.converged:
         raise ConvergenceError(
             "a fit that the verdict rests on has not converged (see above)."
