@@ -115,8 +115,9 @@ class StressTerm:
             explicit solvers must resolve; None if it follows the bubble's motion.
         unbounded: ``unbounded(*parameters)``, on tensors: where the energy of the term has no lower
             bound, which excuses a solve that fails.
-        shells: of a law that is summed over shells of the gel, see :func:`shell_rule`; it takes shell
-            and weight before the memory, which is that of one shell.
+        shells: of a law that is summed over shells of the gel, see :func:`shell_rule`, or over arms
+            beside one another; it takes the two numbers of one before the memory, which is that of
+            one.
         odd: parameters that change their sign where time runs backwards; None where that is not the
             law in reversed time.
         names: parameters that the law reads, from its signature.
