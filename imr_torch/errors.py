@@ -6,7 +6,7 @@ goes on.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -134,6 +134,21 @@ def check_at_least(of: object, least: int, *names: str, note: str = "") -> None:
     """
     expected = f"at least {least}{note}"
     check_fields(of, lambda value: value >= least, expected, *names, optional=True)
+
+
+def check_choice(of: object, name: str, known: Sequence[str]) -> None:
+    """Raise unless a field is one of some words.
+
+    Args:
+        of: has the field.
+        name: of the field.
+        known: the words.
+
+    >>> from types import SimpleNamespace
+    >>> from imr_torch.errors import check_choice
+    >>> check_choice(SimpleNamespace(vapour="frozen"), "vapour", ("frozen", "absent"))
+    """
+    check_fields(of, known.__contains__, f"one of {', '.join(known)}", name)
 
 
 def in_one_line(error: BaseException) -> str:

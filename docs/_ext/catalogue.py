@@ -359,7 +359,11 @@ def _laws(effect: Effect) -> str:
         for law in (effect.setting, effect.gas_loss, effect.vapour, effect.far_field)
         if law is not None
     ]
-    laws += [] if laws else [term.law for term in TERMS if term.switch == effect.names[0]]
+    laws += (
+        []
+        if laws
+        else [term.excess or term.law for term in TERMS if term.switch == effect.names[0]]
+    )
     said = [" ".join((law.__doc__ or "").split()).replace("``", "`") for law in laws]
     told = [
         text for text in said if text and text.rstrip(".").lower() != effect.meaning.lower()

@@ -118,6 +118,9 @@ class StressTerm:
         shells: of a law that is summed over shells of the gel, see :func:`shell_rule`, or over arms
             beside one another; it takes the two numbers of one before the memory, which is that of
             one.
+        excess: what a law integrates over the gel, a function of the hoop stretch and of the
+            parameters beside ``G``; the law takes it after ``rest_radius``
+            (:func:`imr_torch.material.elastic.integrate_over_gel`).
         odd: parameters that change their sign where time runs backwards; None where that is not the
             law in reversed time.
         names: parameters that the law reads, from its signature.
@@ -136,11 +139,15 @@ class StressTerm:
     fastest: Law | None = None
     unbounded: Law | None = None
     shells: tuple[tuple[float, float], ...] = ()
+    excess: Law | None = None
     odd: tuple[str, ...] | None = None
     names: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
         arguments = tuple(inspect.signature(self.law).parameters)
+        if self.excess is not None:
+            own = tuple(inspect.signature(self.excess).parameters)
+            arguments = (*arguments[:3], "G", *own[1:])
         first = 5 + self.states // len(self.shells) if self.shells else 3 + self.states
         if (
             arguments[:3] != ("radius", "velocity", "rest_radius")
@@ -154,16 +161,21 @@ class StressTerm:
         object.__setattr__(self, "names", arguments[first:])
 
     @property
+    def _given(self) -> tuple[Law, ...]:
+        """What the law takes before its memory."""
+        return () if self.excess is None else (self.excess,)
+
+    @property
     def name(self) -> str:
-        """The law's name."""
-        return self.law.__qualname__
+        """That of the law, or of what it integrates."""
+        return (self.excess or self.law).__qualname__
 
     @cached_property
     def compilable(self) -> bool:
         """Whether the law, which is evaluated at every step, is written with
         :mod:`imr_torch.elementary`.
         """
-        return obstacle_of(self.law) is None
+        return all(obstacle_of(law) is None for law in (self.law, *self._given))
 
     def memory_start(
         self,
@@ -203,7 +215,12 @@ class StressTerm:
             rule = radius.new_tensor(self.shells).T.reshape(2, -1, *[1] * (memory.ndim - 1))
             states = (*rule, *memory.unflatten(0, (len(self.shells), -1)).unbind(1))
         parts = self.law(
-            radius, velocity, rest_radius, *states, *self._read_parameters(theta)
+            radius,
+            velocity,
+            rest_radius,
+            *self._given,
+            *states,
+            *self._read_parameters(theta),
         )
         tensors = (x if isinstance(x, Tensor) else radius.new_tensor(x) for x in parts)
         parts = torch.broadcast_tensors(*tensors)

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from imr_torch.elementary import obstacle_of
-from imr_torch.errors import EngineWarning, InputDataError, check_at_least
+from imr_torch.errors import EngineWarning, check_at_least, check_choice
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.conditions import Conditions
 from imr_torch.simulate.sensitivity import differentiable
@@ -51,11 +51,7 @@ class EngineSimulator:
     member_bytes: ClassVar[int]
 
     def __post_init__(self) -> None:
-        if self.engine not in ENGINES:
-            raise InputDataError(
-                f"{type(self).__name__}.engine is {self.engine!r}; expected one of "
-                f"{', '.join(ENGINES)}."
-            )
+        check_choice(self, "engine", ENGINES)
         check_at_least(self, 1, "threads", note=", or None for all cores")
 
     def __call__(

@@ -187,8 +187,9 @@ def _acting_parts(
 @functools.cache
 def locate_law(term: StressTerm) -> tuple[int, int, int]:
     """Addresses of a law for real and complex numbers, and its memory states; compiled if need be."""
+    laws = {"law": term.law} | ({"excess": term.excess} if term.excess else {})
     text = render("law.py.txt", term=term, PARAMETERS=PARAMETERS)
-    module = load_generated(text, {"law": term.law}, name="law")
+    module = load_generated(text, laws, name="law")
     real, imaginary = (pointer.address for pointer in module.pointers)
     return real, imaginary, term.states
 
