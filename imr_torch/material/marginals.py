@@ -181,6 +181,8 @@ class LogNormal:
     [2500, 5000, 10000]
     """
 
+    lower: ClassVar[float] = 0.0
+    upper: ClassVar[float] = math.inf
     median: float
     factor: float
 
@@ -194,16 +196,6 @@ class LogNormal:
                 f"LogNormal.factor is {self.factor}; a spread needs a factor above 1 (2 means "
                 "'within twofold')."
             )
-
-    @property
-    def lower(self) -> float:
-        """See :class:`Marginal`."""
-        return 0.0
-
-    @property
-    def upper(self) -> float:
-        """See :class:`Marginal`."""
-        return math.inf
 
     def to_physical(self, z: Values) -> Values:
         """See :class:`Marginal`."""
@@ -306,16 +298,6 @@ class Quantile:
 
 
 MARGINALS = {kind.__name__: kind for kind in (TruncatedNormal, LogNormal, Quantile)}
-
-
-def make_marginal(kind: str, *numbers: Any) -> Marginal:
-    """A prior by its kind and its numbers, as the tables of the package give it.
-
-    >>> from imr_torch.material.marginals import make_marginal
-    >>> make_marginal("LogNormal", 5e3, 5.0)
-    LogNormal(median=5000.0, factor=5.0)
-    """
-    return MARGINALS[kind](*numbers)
 
 
 def marginal_to_dict(marginal: Marginal) -> dict[str, Any]:

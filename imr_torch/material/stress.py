@@ -74,19 +74,14 @@ class Stress(NamedTuple):
 
     >>> import torch
     >>> from imr_torch.material import Stress
-    >>> spring = Stress(torch.tensor(-0.1), torch.tensor(0.2), torch.tensor(0.0))
-    >>> damper = Stress(torch.tensor(0.3), torch.tensor(0.0), torch.tensor(-0.4))
-    >>> round(float((spring + damper).value), 3)
-    0.2
+    >>> damper = Stress(torch.tensor(-0.3), torch.tensor(0.0), torch.tensor(-0.4))
+    >>> round(float(damper.rate + damper.acceleration * 0.5), 3)  # where U' is .5
+    -0.2
     """
 
     value: Inexact[Tensor, "*batch"]
     rate: Inexact[Tensor, "*batch"]
     acceleration: Inexact[Tensor, "*batch"]
-
-    def __add__(self, other: "Stress") -> "Stress":  # pyright: ignore[reportIncompatibleMethodOverride]
-        """The sum of the stresses, not the longer tuple."""
-        return Stress(*(own + more for own, more in zip(self, other, strict=True)))
 
 
 @dataclass(frozen=True)
@@ -253,16 +248,16 @@ def gel_response(
     (-0.105, (0, 1))
     """
     zero = torch.zeros_like(radius)
-    total = Stress(zero, zero, zero)
+    total = (zero, zero, zero)
     rates = []
     start = 0
     for term in terms:
         states = None if memory is None else memory[start : start + term.states]
         start += term.states
         parts = term.evaluate_law(radius, velocity, rest_radius, theta, states)
-        total = total + Stress(*parts[:3])
+        total = tuple(own + more for own, more in zip(total, parts[:3], strict=True))
         rates += parts[3:]
-    return total, torch.stack(rates) if rates else zero.new_zeros(0, *zero.shape)
+    return Stress(*total), torch.stack(rates) if rates else zero.new_zeros(0, *zero.shape)
 
 
 def derivatives(
