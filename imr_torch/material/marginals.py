@@ -7,6 +7,7 @@ to scale, so nothing is lost where nothing is truncated.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Protocol
@@ -179,8 +180,8 @@ class LogNormal:
     [2500, 5000, 10000]
     """
 
-    lower: ClassVar[float] = 0.0
-    upper: ClassVar[float] = math.inf
+    lower = 0.0
+    upper = math.inf
     median: float
     factor: float
 
@@ -208,7 +209,10 @@ class LogNormal:
         return math.log(self.median * math.log(self.factor)) + math.log(self.factor) * z
 
 
-MARGINALS = {kind.__name__: kind for kind in (TruncatedNormal, LogNormal)}
+MARGINALS: dict[str, Callable[..., Marginal]] = {
+    "TruncatedNormal": TruncatedNormal,
+    "LogNormal": LogNormal,
+}
 
 
 def marginal_to_dict(marginal: Marginal) -> dict[str, Any]:
