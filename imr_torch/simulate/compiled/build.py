@@ -108,27 +108,22 @@ def load_generated(
     return module
 
 
-def _cached_files(module: types.ModuleType, entry: str) -> list[Path]:
-    """The files in which an entry point of an engine is kept in compiled form."""
-    assert module.__file__ is not None
-    path = Path(module.__file__)
-    return list((path.parent / "__pycache__").glob(f"{path.stem}.{entry}-*.nb?"))
-
-
 def call_announced(module: types.ModuleType, entry: str, arguments: Sequence[Any]) -> Any:
     """Call an entry point that has not run in this process.
 
     Where it has to be compiled, say so and how long it took.
     """
     function = getattr(module, entry)
-    if cached := _cached_files(module, entry):
+    path = Path(str(module.__file__))
+    cached = list((path.parent / "__pycache__").glob(f"{path.stem}.{entry}-*.nb?"))
+    if cached:
         try:
             return function(*arguments)
         # whatever unpickling half a file raises; what is wrong with the arguments is raised again
         # below
         except Exception:
-            for path in cached:
-                path.unlink(missing_ok=True)
+            for damaged in cached:
+                damaged.unlink(missing_ok=True)
     print(
         f"imr_torch: compiling {entry} (once on this machine; a busy or slow one takes minutes) ...",
         file=sys.stderr,
