@@ -220,7 +220,7 @@ def _solve_twins_once(
     parameters, designs, times = (x.unflatten(0, (-1, width)) for x in block)
     bubbles = torch.cat((parameters, designs.to(parameters)), -1)
     alike = (bubbles == bubbles[:, :1]).all(-1).all(0)
-    second = int(alike.nonzero()[-1])  # the leader itself where it has no twin
+    second = int(alike.nonzero()[:2][-1])  # the leader itself where it has no twin
     later = times + (times[:, second] - times[:, 0])[:, None]
     later[:, 0] = times[:, second]
     both, order = torch.cat((times, later), -1).sort(-1)
