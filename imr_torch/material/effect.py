@@ -72,6 +72,7 @@ class Effect:
         film: ``film(radius, time, *parameters)``, R* as the camera sees it where the true one is
             ``radius`` at ``time``, in tensors.
         offered: whether a diagnosis tries it though nobody names it.
+        note: what a reader should know beside the meaning.
 
     >>> from imr_torch.material import LIBRARY
     >>> effect = LIBRARY["stress_relaxation"]
@@ -94,6 +95,7 @@ class Effect:
     far_field: Law | None = None
     film: Law | None = None
     offered: bool = True
+    note: str = ""
     names: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:

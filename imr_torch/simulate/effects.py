@@ -146,9 +146,7 @@ def pulse(
 
 
 # A simulation starts at the maximum radius with the gas that rests at ``R_inf``, at the temperature
-# of the gel, and keeps it. ``excess_gas``, ``hot_contents`` and ``rinf_drift`` drop these assumptions:
-# how much gas a laser leaves does not follow from the maximum radius (Akhatov et al., Phys. Fluids 13,
-# 2001; Liang et al., J. Fluid Mech. 940, 2022, A5), nor is it cold (Liang et al. 2022).
+# of the gel, and keeps it: ``excess_gas``, ``hot_contents`` and ``rinf_drift`` drop these assumptions.
 
 ADDED = {
     "vapour_pressure": "saturation",
@@ -158,18 +156,14 @@ ADDED = {
     "wall": "image",
     "residual_velocity": "velocity",
 }
-"""Effect -> the entry of the setting that its amplitude is added to. ``compressibility`` moves the equation of
-Keller & Miksis towards that of second order in the Mach number, which it is at 1 (Lezzi & Prosperetti, J. Fluid
-Mech. 185, 1987); other equations stay as they are. Polytropic gas has no heat to lose: ``hot_contents`` are excess
-gas there."""
+"""Effect -> the entry of the setting that its amplitude is added to."""
 SCALED = {
     "excess_gas": ("gas", 1.0),
     "sound_speed": ("slowness", -1.0),
     "density": ("pace", -0.5),
     "surface_tension": ("tension", 1.0),
 }
-"""Effect -> the entry that is multiplied by the exponential of its amplitude, times a power. A denser medium moves
-more slowly under the same pressures. The contents are those of the design's surface tension."""
+"""Effect -> the entry that is multiplied by the exponential of its amplitude, times a power."""
 for _name, _entry in ADDED.items():
     give_physics(_name, setting=partial(add_to_entry, _entry))
 for _name, (_entry, _power) in SCALED.items():
