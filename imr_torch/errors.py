@@ -148,7 +148,11 @@ def check_choice(of: object, name: str, known: Sequence[str]) -> None:
     >>> from imr_torch.errors import check_choice
     >>> check_choice(SimpleNamespace(vapour="frozen"), "vapour", ("frozen", "absent"))
     """
-    check_fields(of, known.__contains__, f"one of {', '.join(known)}", name)
+    value = getattr(of, name)
+    if value not in known:
+        raise InputDataError(
+            f"{type(of).__name__}.{name} is {value!r}; expected one of {', '.join(known)}."
+        )
 
 
 def in_one_line(error: BaseException) -> str:

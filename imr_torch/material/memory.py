@@ -338,12 +338,10 @@ def second_arm(
 
 _SPACING = 0.75 * log_of(10.0)
 """Log of the ratio of the relaxation rates of neighbouring arms."""
-_ARMS = tuple((float(number), e ** (_SPACING * number)) for number in range(-2, 5))
-"""Number and relaxation rate of each."""
 
 
 def _springpot_modulus(
-    number: Scalar, G: Scalar, order: Scalar, reference: Scalar
+    number: float, G: Scalar, order: Scalar, reference: Scalar
 ) -> Scalar:
     """The modulus of an arm by its number: that of the rate ``U_c/Rmax`` is 0."""
     return (
@@ -354,13 +352,29 @@ def _springpot_modulus(
     )
 
 
+def _fade_springpot(
+    memory: Scalar,
+    number: float,
+    G: Scalar,
+    order: Scalar,
+    reference: Scalar,
+    strain: Scalar,
+) -> Scalar:
+    modulus = _springpot_modulus(number, G, order, reference)
+    return _fade_arm(memory, e ** (_SPACING * number), modulus, strain)
+
+
 def springpot(
     radius: Scalar,
     velocity: Scalar,
     rest_radius: Scalar,
-    number: Scalar,
-    relaxation: Scalar,
-    memory: Scalar,
+    m0: Scalar,
+    m1: Scalar,
+    m2: Scalar,
+    m3: Scalar,
+    m4: Scalar,
+    m5: Scalar,
+    m6: Scalar,
     G_frac: Scalar,
     fractional: Scalar,
     reference_rate: Scalar,
@@ -372,16 +386,29 @@ def springpot(
     decades of rates from .03 to 1000 ``U_c/Rmax``, a linear spring for all slower ones and a dashpot
     for all faster ones. The complex modulus is within 2 % from .1 to 300 ``U_c/Rmax``.
     """
-    modulus = _springpot_modulus(number, G_frac, fractional, reference_rate)
-    change = _fade_arm(memory, relaxation, modulus, velocity / radius)
-    # what is beside the arms, shared among them
-    slow = _springpot_modulus(-3.0, G_frac, fractional, reference_rate) / len(_ARMS)
+    slow = _springpot_modulus(-3.0, G_frac, fractional, reference_rate)
     slow = slow / -expm1(-_SPACING * fractional)
-    fast = _springpot_modulus(5.0, G_frac, fractional, reference_rate) / len(_ARMS)
-    fast = fast * e ** (-5.0 * _SPACING) / -expm1(_SPACING * (fractional - 1.0))
+    fast = _springpot_modulus(5.0, G_frac, fractional, reference_rate) * e ** (
+        -5.0 * _SPACING
+    )
+    fast = fast / -expm1(_SPACING * (fractional - 1.0))
     value, rate, _ = linear_elastic(radius, velocity, rest_radius, slow)
     flow, flow_rate, inertia = newtonian(radius, velocity, rest_radius, fast)
-    return value + memory + flow, rate + change + flow_rate, inertia, change
+    strain = velocity / radius
+    changes = (
+        _fade_springpot(m0, -2.0, G_frac, fractional, reference_rate, strain),
+        _fade_springpot(m1, -1.0, G_frac, fractional, reference_rate, strain),
+        _fade_springpot(m2, 0.0, G_frac, fractional, reference_rate, strain),
+        _fade_springpot(m3, 1.0, G_frac, fractional, reference_rate, strain),
+        _fade_springpot(m4, 2.0, G_frac, fractional, reference_rate, strain),
+        _fade_springpot(m5, 3.0, G_frac, fractional, reference_rate, strain),
+        _fade_springpot(m6, 4.0, G_frac, fractional, reference_rate, strain),
+    )
+    for memory in (m0, m1, m2, m3, m4, m5, m6):
+        value = value + memory
+    for change in changes:
+        rate = rate + change
+    return value + flow, rate + flow_rate, inertia, *changes
 
 
 def _springpot_start(
@@ -389,19 +416,20 @@ def _springpot_start(
 ) -> Scalars:
     """Of a bubble whose volume grew evenly from ``R_inf`` within ``Rmax/U_c``."""
     grown = -4.0 / 3.0 * (1.0 - rest_radius**3)
+    rates = [(k, e ** (_SPACING * k)) for k in range(-2, 5)]
     return tuple(
         grown
-        * _springpot_modulus(number, G_frac, fractional, reference_rate)
+        * _springpot_modulus(k, G_frac, fractional, reference_rate)
         * (1.0 - e**-rate)
         / rate
-        for number, rate in _ARMS
+        for k, rate in rates
     )
 
 
 def _springpot_fastest(
     G_frac: Scalar, fractional: Scalar, reference_rate: Scalar
 ) -> Scalar:
-    return where(G_frac > 0.0, _ARMS[-1][1], 0.0)
+    return where(G_frac > 0.0, e ** (4.0 * _SPACING), 0.0)
 
 
 MEMORY = (
@@ -426,11 +454,10 @@ MEMORY = (
     StressTerm(
         springpot,
         switch="G_frac",
-        states=len(_ARMS),
+        states=7,
         beside=("reference_rate",),
         start=_springpot_start,
         fastest=_springpot_fastest,
-        shells=_ARMS,
     ),
     StressTerm(
         giesekus,

@@ -110,9 +110,8 @@ class StressTerm:
             explicit solvers must resolve; None if it follows the bubble's motion.
         unbounded: ``unbounded(*parameters)``, on tensors: where the energy of the term has no lower
             bound, which excuses a solve that fails.
-        shells: of a law that is summed over shells of the gel, see :func:`shell_rule`, or over arms
-            beside one another; it takes the two numbers of one before the memory, which is that of
-            one.
+        shells: of a law that is summed over shells of the gel, see :func:`shell_rule`; it takes shell
+            and weight before the memory, which is that of one shell.
         excess: what a law integrates over the gel, a function of the hoop stretch and of the
             parameters beside ``G``; the law takes it after ``rest_radius``
             (:func:`imr_torch.material.elastic.integrate_over_gel`).
