@@ -35,7 +35,14 @@ from imr_torch.record import describe_record
 from imr_torch.simulate import Conditions, PolytropicGas
 from tests.record.bubbles import LIQUID, paths
 
-SHOTS = {"good": 0.0, "wall": 0.05, "ellipse": 0.02, "scale": 0.02, "focus": 0.03}
+SHOTS = {
+    "good": 0.0,
+    "wall": 0.05,
+    "ellipse": 0.02,
+    "scale": 0.02,
+    "focus": 0.03,
+    "noisier": 2.0,
+}
 FRAMES = {
     "exact": {},
     "jitter": {"jitter": 0.15},
@@ -46,6 +53,8 @@ FRAMES = {
 FITS = PolytropicSimulator(
     Conditions(gas=PolytropicGas(exponent=1.4, reference="rest")), threads=1
 )
+GOOD = ("good", "noisier")
+"""In which no shot is bad."""
 BAD = 3
 """Which shot is the bad one."""
 
@@ -60,6 +69,7 @@ def film_bubble(
     ellipse: float = 0.0,
     scale: float = 0.0,
     focus: float = 0.0,
+    noisier: float = 0.0,
     jitter: float = 0.0,
     exposure: float = 0.0,
     threshold: float = 0.0,
@@ -79,6 +89,7 @@ def film_bubble(
         scale: error of the size of a pixel.
         focus: by how much of Rmax edges are read too far out; if at all, noise is three times as
             large.
+        noisier: how many times as large noise is, less one: no bad shot.
         jitter: standard deviation of the time of a frame, over the spacing.
         exposure: over the spacing.
         threshold: standard deviation of the radius, over Rmax/R, in R*.
@@ -102,7 +113,7 @@ def film_bubble(
         return radius / top * np.sqrt(1.0 + 0.5 * shape + 11.0 / 32.0 * shape**2)
 
     clean = see_radius(opened.ravel()).reshape(opened.shape).mean(1)
-    sd = np.hypot(noise * (3.0 if focus else 1.0), threshold / clean)
+    sd = np.hypot(noise * (3.0 if focus else 1.0 + noisier), threshold / clean)
     seen = clean + focus + sd * rng.standard_normal(len(times))
     size = top * (1.0 + scale)
     at_rest = rest * float(see_radius(np.array([last]))[0]) / later.y[0, -1] + focus
@@ -169,7 +180,7 @@ def write_page(lines: list[Line]) -> str:
         own = [line for line in lines if line["key"].startswith(f"{kind}/")]
         odd = [line["odd"] for line in own if "odd" in line]
         if odd:
-            bad = [] if kind == "good" else [row.pop(BAD) for row in odd]
+            bad = [] if kind in GOOD else [row.pop(BAD) for row in odd]
             figures.append(Figure.of_share(f"{kind}: found", bad, (0.9, 1.0)))
             good = [x for row in odd for x in row]
             figures.append(Figure.of_share(f"{kind}: good called bad", good, (0.0, 0.03)))

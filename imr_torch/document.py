@@ -13,24 +13,15 @@ from typing import Any
 import torch
 
 from imr_torch.errors import InputDataError
-from imr_torch.files import Document, read_json
+from imr_torch.files import Document, read_json, read_table
 from imr_torch.observe import CollapseTime, Experiment, GelMedium
 from imr_torch.units import Surroundings
 
 SCHEMA_VERSION = 1
 """Raised when a key of a result document changes its meaning or goes away; new keys do not raise it."""
 
-UNITS = {
-    "parameters": "SI: Pa, Pa s, s; 1 where dimensionless",
-    "density, medium_*": "1, ln of the value over that in medium",
-    "*_s": "s",
-    "*_m": "m",
-    "t_star": "1, time over Rmax/U_c with U_c = sqrt(p_inf/rho)",
-    "R_star": "1, radius over Rmax",
-    "We": "1, p_inf Rmax / (2 surface tension)",
-    "R_inf*": "1, R_inf / Rmax",
-    "log_evidence, eig, gain": "nats",
-}
+UNITS = read_table("units")["document"]
+"""What the numbers of a result document are in."""
 
 
 def header(

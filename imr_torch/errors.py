@@ -6,7 +6,7 @@ goes on.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -134,6 +134,25 @@ def check_at_least(of: object, least: int, *names: str, note: str = "") -> None:
     """
     expected = f"at least {least}{note}"
     check_fields(of, lambda value: value >= least, expected, *names, optional=True)
+
+
+def check_choice(of: object, name: str, known: Sequence[str]) -> None:
+    """Raise unless a field is one of some words.
+
+    Args:
+        of: has the field.
+        name: of the field.
+        known: the words.
+
+    >>> from types import SimpleNamespace
+    >>> from imr_torch.errors import check_choice
+    >>> check_choice(SimpleNamespace(vapour="frozen"), "vapour", ("frozen", "absent"))
+    """
+    value = getattr(of, name)
+    if value not in known:
+        raise InputDataError(
+            f"{type(of).__name__}.{name} is {value!r}; expected one of {', '.join(known)}."
+        )
 
 
 def in_one_line(error: BaseException) -> str:

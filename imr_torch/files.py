@@ -56,7 +56,7 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
         os.replace(temporary, path)
         flush_folder(path.parent)
     except BaseException as error:
-        Path(temporary).unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
         if (
             isinstance(error, OSError)
             and error.errno is not None
@@ -102,42 +102,39 @@ def check_target(path: str | Path, option: str, *, folder: bool = False) -> None
             f"{option} is {str(path)!r}, which names no {'folder' if folder else 'file'}; give a "
             "name."
         )
+    target = Path(path)
     try:
-        _check_place(Path(path), option, folder)
+        if len(target.name.encode()) > _LONGEST_NAME:
+            raise InputDataError(
+                f"{option} has a name of {len(target.name.encode())} bytes; give one of "
+                f"{_LONGEST_NAME} at most."
+            )
+        if target.exists() and target.is_dir() != folder:
+            raise InputDataError(
+                f"{option} is {str(target)!r}, which is {'a file' if folder else 'a folder'}; "
+                "give another name."
+            )
+        nearest = next(
+            place for place in (target, *target.absolute().parents) if place.exists()
+        )
+        if nearest != target and not nearest.is_dir():
+            raise InputDataError(
+                f"{option} is {str(target)!r}, and {str(nearest)!r} is no folder; give another "
+                "name."
+            )
+        if not os.access(nearest, os.W_OK):
+            raise InputDataError(
+                f"{option} is {str(target)!r}, and {str(nearest)!r} may not be written to; give "
+                "another folder."
+            )
+        if nearest.is_dir():  # a file system that takes no files says so here alone
+            with tempfile.TemporaryFile(dir=nearest):
+                pass
     except OSError as error:
         raise InputDataError(
             f"{option} is {str(path)[:60]!r}, which cannot be written "
             f"({error.strerror or error}); give another place."
         ) from None
-
-
-def _check_place(target: Path, option: str, folder: bool) -> None:
-    """What :func:`check_target` refuses of a path that can be looked up."""
-    if len(target.name.encode()) > _LONGEST_NAME:
-        raise InputDataError(
-            f"{option} has a name of {len(target.name.encode())} bytes; give one of "
-            f"{_LONGEST_NAME} at most."
-        )
-    if target.exists() and target.is_dir() != folder:
-        raise InputDataError(
-            f"{option} is {str(target)!r}, which is {'a file' if folder else 'a folder'}; give "
-            "another name."
-        )
-    nearest = next(
-        place for place in (target, *target.absolute().parents) if place.exists()
-    )
-    if nearest != target and not nearest.is_dir():
-        raise InputDataError(
-            f"{option} is {str(target)!r}, and {str(nearest)!r} is no folder; give another name."
-        )
-    if not os.access(nearest, os.W_OK):
-        raise InputDataError(
-            f"{option} is {str(target)!r}, and {str(nearest)!r} may not be written to; give "
-            "another folder."
-        )
-    if nearest.is_dir():  # a file system that takes no files says so here alone
-        with tempfile.TemporaryFile(dir=nearest):
-            pass
 
 
 def flush_folder(folder: Path) -> None:

@@ -7,14 +7,14 @@ import itertools
 import json
 import re
 import sys
+from types import SimpleNamespace
 
 import pytest
 
+from imr_torch.assimilate import NOISE_ROUNDS
 from imr_torch.cli import main
-from imr_torch.cli.progress import DESIGN, Terminal, characterize_stages, diagnose_stages
+from imr_torch.cli.progress import Terminal
 from imr_torch.progress import ProgressLine, within
-
-DIAGNOSE = diagnose_stages(estimate_noise=True)
 
 
 def iteration(number: int, detail: str = "nhkv cost 1") -> ProgressLine:
@@ -29,24 +29,18 @@ def stage(key: str, text: str) -> ProgressLine:
 LONG = iteration(4, ", ".join(f"model{i} cost -606.92 gradient 5.6e+01" for i in range(30)))
 
 
-class Clock:
-    def __init__(self):
-        self.now = 0.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
-def terminal(stages=(), *, live=False, **options):
+def terminal(command="simulate", *, live=False, figures=True, **options):
     stream = io.StringIO()
-    clock = Clock()
-    made = Terminal("characterize", stream=stream, live=live, clock=clock, **options)
-    made.plan_stages(stages)
+    clock = SimpleNamespace(now=0.0)
+    options |= {"stream": stream, "clock": lambda: clock.now}
+    made = Terminal(command, live=live, **options)
+    made.plan_stages(noise=True, curves=True, figures=figures)
     return made, stream, clock
 
 
 def test_that_stage_step_and_time_left_are_said():
-    made, stream, clock = terminal(characterize_stages(2))
+    made, stream, clock = terminal("characterize")
+    assert [x.key for x in made.stages].count("noise") == NOISE_ROUNDS
     made(LONG)
     clock.now = 20.0
     made(stage("noise", "noise 0.09 x the published law"))
@@ -68,7 +62,7 @@ def test_that_stage_step_and_time_left_are_said():
 
 
 def test_that_no_time_left_is_said_where_the_last_stage_lasts_longer_than_planned():
-    made, _, clock = terminal(characterize_stages(2, figures=False))
+    made, _, clock = terminal("characterize", figures=False)
     clock.now = 20.0
     made(stage("noise", "noise 1"))
     made(stage("fit test", "fit test: does the model explain the curves?"))
@@ -77,25 +71,25 @@ def test_that_no_time_left_is_said_where_the_last_stage_lasts_longer_than_planne
 
 
 def test_that_counted_steps_give_the_time_left():
-    made, _, clock = terminal(DESIGN)
+    made, _, clock = terminal("design")
     clock.now = 10.0
     text = "design 5/25: We  300.0  R_inf* 0.200  EIG 1.0 +- 0.1 nats"
     made(ProgressLine(text, step="design", done=5, of=25))
     assert (
         made.describe_state()
-        == "characterize, 0:10, 20 %, about 0:40 left: search of designs, design 5 of 25"
+        == "design, 0:10, 20 %, about 0:40 left: search of designs, design 5 of 25"
     )
 
 
 def test_that_a_stage_that_is_skipped_is_passed_over_and_leaves_its_time_out():
-    made, _, clock = terminal(DIAGNOSE)
+    made, _, clock = terminal("diagnose")
     clock.now = 10.0
     made(stage("figures", "gap test: p = 0.5"))
     assert "stage 4 of 4, 0:10, 77 %, about 0:03 left" in made.describe_state()
 
 
 def test_that_more_selections_than_were_expected_take_more_time_and_less_are_done_with():
-    made, _, clock = terminal(DIAGNOSE)
+    made, _, clock = terminal("diagnose")
     clock.now = 10.0
     made(stage("effects", "attribution"))
     search = ProgressLine("search", step="16 of 32 models fitted", part=0.5)
@@ -114,7 +108,7 @@ def test_that_more_selections_than_were_expected_take_more_time_and_less_are_don
 
 
 def test_that_a_log_gets_a_line_per_stage_and_one_every_half_minute():
-    made, stream, clock = terminal(characterize_stages(1))
+    made, stream, clock = terminal("characterize")
     for second in range(65):
         clock.now = float(second)
         made(iteration(second + 1))
@@ -123,11 +117,11 @@ def test_that_a_log_gets_a_line_per_stage_and_one_every_half_minute():
 
 
 def test_that_a_log_says_a_stage_when_it_begins_though_time_passes_meanwhile():
-    made, stream, _ = terminal(characterize_stages(1))
+    made, stream, _ = terminal("characterize")
     made.clock = itertools.count().__next__
     made(LONG)
     made(stage("noise", "noise 0.09 x the published law"))
-    assert "stage 2 of 5" in stream.getvalue()
+    assert "stage 2 of 6" in stream.getvalue()
 
 
 def test_that_verbose_prints_every_line_as_it_is_and_quiet_none():
@@ -142,7 +136,7 @@ def test_that_verbose_prints_every_line_as_it_is_and_quiet_none():
 def test_that_the_line_rewrites_itself_and_is_wiped_before_results(monkeypatch):
     out = io.StringIO()
     monkeypatch.setattr(sys, "stdout", out)
-    made, stream, _ = terminal(DIAGNOSE, live=True)
+    made, stream, _ = terminal("diagnose", live=True)
     with made:
         made(iteration(1))
         made(iteration(12))
@@ -151,11 +145,11 @@ def test_that_the_line_rewrites_itself_and_is_wiped_before_results(monkeypatch):
     assert sys.stdout is out
     assert out.getvalue() == "result\n"
     assert "\n" not in stream.getvalue()
-    assert len(re.findall("\riteration|\rcharacterize", stream.getvalue())) >= 2
+    assert len(re.findall("\rdiagnose", stream.getvalue())) >= 2
 
 
 def test_that_the_line_moves_while_nothing_is_reported():
-    made, stream, clock = terminal(DIAGNOSE, live=True, every=0.01)
+    made, stream, clock = terminal("diagnose", live=True, every=0.01)
     with made:
         made(iteration(1))
         clock.now = 61.0
@@ -167,7 +161,7 @@ def test_that_the_line_moves_while_nothing_is_reported():
 
 
 def test_that_a_program_gets_events_with_the_part_that_is_done():
-    made, stream, clock = terminal(DESIGN, events=True)
+    made, stream, clock = terminal("design", events=True)
     made("evidence of each model")
     clock.now = 10.0
     made(ProgressLine("design 5/25: We  300.0", step="design", done=5, of=25))

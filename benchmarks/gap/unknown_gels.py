@@ -64,10 +64,7 @@ TRUTHS: dict[str, tuple[tuple[str, ...], tuple[float, float]]] = {
 }
 """What acts -> effects that it is drawn from, and how many sd of it a refit of a gel leaves."""
 
-RIGHT = {"nothing": {"none"}, "shots' own pulses": {"none", "own"}}
-RIGHT |= {name: {"one", "common"} for name in TRUTHS if name.startswith("one")}
-RIGHT |= {name: {"own", "law", "gels"} for name in TRUTHS if name.startswith("own")}
-VERDICTS = ("none", "gels", "law", "own", "common", "one", "undecided")
+VERDICTS = ("common", "not shown", "none", "undecided")
 
 
 def make_laboratory(
@@ -155,22 +152,22 @@ def effects_of(line: Line) -> set[str]:
 
 
 def write_scores(lines: list[Line]) -> str:
-    """Verdicts by what acts, in Markdown."""
+    """Verdicts by what acts, and how often the effect that acts stands first where the library holds
+    it and something common is said, in Markdown.
+    """
     rows = []
-    for kind, right in RIGHT.items():
+    for kind in TRUTHS:
         own = [x for x in lines if x.get("truth") == kind]
         said = [CommonUnknown(x["probabilities"], ()).verdict for x in own]
-        wrong = sum(verdict not in right | {"undecided"} for verdict in said)
-        counts = [said.count(name) for name in VERDICTS]
-        sure = [
-            x
+        found = [
+            x["causes"][0]["name"] in effects_of(x)
             for x, verdict in zip(own, said, strict=True)
-            if verdict in ("one", "common") and not x["withheld"]
+            if verdict == "common" and not x["withheld"]
         ]
-        names = sum(x["causes"][0]["name"] in effects_of(x) for x in sure)
-        rows.append((kind, len(own), *counts, wrong, f"{names} of {len(sure)}"))
-    head = ("in truth", "laboratories", *VERDICTS, "wrong", "named")
-    return write_table(head, rows)
+        rows.append(
+            (kind, len(own), *map(said.count, VERDICTS), f"{sum(found)} of {len(found)}")
+        )
+    return write_table(("in truth", "laboratories", *VERDICTS, "named"), rows)
 
 
 def main() -> None:

@@ -2,6 +2,7 @@
 equation and its picture.
 """
 
+from inspect import isfunction
 from pathlib import Path
 
 import matplotlib
@@ -357,10 +358,15 @@ def _laws(effect: Effect) -> str:
     laws = [
         law
         for law in (effect.setting, effect.gas_loss, effect.vapour, effect.far_field)
-        if law is not None
+        if isfunction(law)  # what only adds to or scales an entry says nothing more
     ]
-    laws += [] if laws else [term.law for term in TERMS if term.switch == effect.names[0]]
-    said = [" ".join((law.__doc__ or "").split()).replace("``", "`") for law in laws]
+    laws += (
+        []
+        if laws
+        else [term.excess or term.law for term in TERMS if term.switch == effect.names[0]]
+    )
+    said = [effect.note, *(law.__doc__ or "" for law in laws)]
+    said = [" ".join(text.split()).replace("``", "`") for text in said]
     told = [
         text for text in said if text and text.rstrip(".").lower() != effect.meaning.lower()
     ]

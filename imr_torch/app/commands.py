@@ -12,21 +12,6 @@ from imr_torch.cli.options import COLLAPSES, COMMANDS, DEFAULT_MODELS, read_sett
 from imr_torch.errors import InputDataError
 from imr_torch.files import Document, read_table
 
-OF_THE_FOLDER = {
-    "files",
-    "layout",
-    "medium",
-    "out",
-    "html",
-    "mat",
-    "resume",
-    "workers",
-    "cluster",
-}
-"""Options that the folder of the application answers, or that concern other machines."""
-LISTS = {"models", "experiments", "exclude", "heldout", "effects", "without", "tell"}
-"""Options that take several names."""
-
 
 @dataclass(frozen=True)
 class Form:
@@ -46,6 +31,10 @@ class Form:
 
 
 _table = read_table("forms")
+OF_THE_FOLDER = set(_table["of_the_folder"])
+"""Options that the folder of the application answers, or that concern other machines."""
+LISTS = set(_table["lists"])
+"""Options that take several names."""
 FORMS = {command: Form(**form) for command, form in _table["forms"].items()}
 """Command -> its form."""
 LABELS: dict[str, str] = _table["labels"]

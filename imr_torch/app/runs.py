@@ -76,11 +76,6 @@ class Result:
         ]
 
     @property
-    def command(self) -> str:
-        """The command line."""
-        return command_line(self.arguments)
-
-    @property
     def outcome(self) -> str:
         """How it ended, in words."""
         if self.status is None:
@@ -240,17 +235,17 @@ class Runs:
             self.current = None
             self._start_next()
 
-    def list_results(self) -> list[Result]:
-        """All runs that have ended, the latest first."""
+    def list_results(self) -> dict[str, Result]:
+        """All runs that have ended, by their names, the latest first."""
         still_open = {result.folder for result in self.waiting}
         if run := self.current:
             still_open.add(run.result.folder)
-        found = []
+        found = {}
         for path in sorted(self.folder.glob("*/run.json"), reverse=True):
             if path.parent not in still_open:
                 record = read_json(path, expected="expected the record of a run")
                 record["arguments"] = tuple(record["arguments"])
-                found.append(Result(path.parent, **record))
+                found[path.parent.name] = Result(path.parent, **record)
         return found
 
     def find_result(self, name: str) -> Result:
@@ -259,7 +254,7 @@ class Runs:
         Raises:
             InputDataError: if there is none of that name.
         """
-        found = {result.name: result for result in self.list_results()}
+        found = self.list_results()
         if name not in found:
             raise InputDataError(f"There is no result {name!r}.")
         return found[name]

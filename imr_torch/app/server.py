@@ -9,7 +9,6 @@ import secrets
 import socket
 import threading
 import time
-import webbrowser
 from contextlib import closing, suppress
 from pathlib import Path
 
@@ -67,7 +66,7 @@ def serve(folder: Path, *, port: int = 0, browser: bool = True) -> None:
         app.on_shutdown(lambda: _stop_running(runs))
         address = f"http://{HOST}:{number}/?token={token}"
         waiting = threading.Thread(
-            target=_announce_address, args=(address, number, folder, browser), daemon=True
+            target=_announce_address, args=(address, number, folder), daemon=True
         )
         app.on_startup(waiting.start)
         ui.run(
@@ -77,7 +76,7 @@ def serve(folder: Path, *, port: int = 0, browser: bool = True) -> None:
             title="imr_torch",
             favicon="🫧",
             reload=False,
-            show=False,
+            show=f"/?token={token}" if browser else False,
             show_welcome_message=False,
             reconnect_timeout=30.0,
         )
@@ -99,8 +98,8 @@ def _free_port(port: int) -> int:
         return probe.getsockname()[1]
 
 
-def _announce_address(address: str, port: int, folder: Path, browser: bool) -> None:
-    """Say the address as soon as the server answers, and open it."""
+def _announce_address(address: str, port: int, folder: Path) -> None:
+    """Say the address as soon as the server answers."""
     while True:
         with (
             suppress(OSError),
@@ -112,8 +111,6 @@ def _announce_address(address: str, port: int, folder: Path, browser: bool) -> N
         f"Open {address}\nFiles and results are kept in {folder}. End with Ctrl-C.",
         flush=True,
     )
-    if browser:
-        webbrowser.open(address)
 
 
 def _stop_running(runs: Runs) -> None:

@@ -12,14 +12,14 @@ from imr_torch.app.problems import problems_notified, problems_shown
 from imr_torch.app.workspace import CurveView, Workspace
 from imr_torch.cli.options import COLLAPSES
 from imr_torch.files import Document
-from imr_torch.reading.sidecar import OVERRIDES
+from imr_torch.reading.sidecar import OVERRIDES, state
 
 _FITTED = "#0072b2"
 _OUTSIDE = "#9a9a9a"
 MICRO = 1e6
 """Micrometres in a metre, microseconds in a second."""
 _LINES = CURVE["lines"]
-"""What the lines of the figure show, in their order: name, colour and dash."""
+"""The lines of the figure, in their order."""
 _PAIRS = {"Rmax_m": "Rmax_sd_m", "Rinf_m": "Rinf_sd_m"}
 
 
@@ -121,7 +121,8 @@ class CurvesView:
 
     def _state_values(self, view: CurveView, values: Mapping[str, float | None]) -> None:
         with problems_notified():
-            self.workspace.state_values(view, values)
+            trace = view.trace
+            state(trace.source, trace.experiment_id, values, alone=view.alone)
         self.draw_tab.refresh()
 
 
@@ -177,40 +178,14 @@ def curve_figure(view: CurveView) -> Document:
         }
         for name, (colour, frames) in stretches.items()
     ]
-    layout = {
-        "margin": {"l": 56, "r": 16, "t": 10, "b": 46},
-        "xaxis": {"title": {"text": "time (us)"}},
-        "yaxis": {"title": {"text": "R (um)"}, "rangemode": "tozero"},
-        "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom"},
-        "shapes": [_draw_line(key, found[key]) for key in _LINES],
-    }
-    config = {
-        "displaylogo": False,
-        "edits": {"shapePosition": True},
-        "modeBarButtonsToRemove": ["select2d", "lasso2d", "autoScale2d"],
-    }
-    return {"data": data, "layout": layout, "config": config}
+    layout = CURVE["layout"] | {"shapes": [_draw_line(key, found[key]) for key in _LINES]}
+    return {"data": data, "layout": layout, "config": CURVE["config"]}
 
 
 def _draw_line(key: str, value: float | None) -> Document:
     """A line that can be moved; one of a value that is not known is not seen."""
-    name, colour, dash = _LINES[key]
-    at = 0.0 if value is None else MICRO * value
-    label: Document = {"text": name, "font": {"size": 11, "color": colour}}
-    if key.endswith("_s"):
-        place = {"x0": at, "x1": at, "y0": 0, "y1": 1, "yref": "paper"}
-        # towards the frames between the two
-        side = "left" if key == "t_Rmax_s" else "right"
-        # at different ends, since they may be close to one another on a narrow screen
-        end = "start" if key == "t_Rmax_s" else "end"
-        label |= {"textangle": 0, "textposition": end, "xanchor": side}
-    else:
-        place = {"y0": at, "y1": at, "x0": 0, "x1": 1, "xref": "paper"}
-        label |= {"textposition": "end"}
-    line = {"color": colour, "width": 2, "dash": dash}
-    return {
-        "type": "line",
-        "visible": value is not None,
-        "line": line,
-        "label": label,
-    } | place
+    along, across = ("x", "y") if key.endswith("_s") else ("y", "x")
+    at = MICRO * (value or 0.0)
+    place = {f"{along}0": at, f"{along}1": at, f"{across}0": 0, f"{across}1": 1}
+    seen = {"type": "line", "visible": value is not None, f"{across}ref": "paper"}
+    return _LINES[key] | place | seen

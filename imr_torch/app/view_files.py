@@ -152,17 +152,17 @@ class MediumView:
         ui.button(
             "State it",
             on_click=lambda: self._set_medium(
-                name.value, {key: (a.value, b.value) for key, (a, b) in fields.items()}
+                medium_text(
+                    name.value, {key: (a.value, b.value) for key, (a, b) in fields.items()}
+                )
             ),
         )
         with problems_shown():
             ui.label(self.workspace.find_medium().report()).classes("lines")
 
-    def _set_medium(
-        self, name: str, values: dict[str, tuple[float | None, float | None]]
-    ) -> None:
+    def _set_medium(self, text: str) -> None:
         with problems_notified():
-            self.workspace.change_setting("medium", medium_text(name, values))
+            self.workspace.change_setting("medium", text)
             ui.notify("Stated; it counts in every command that is run from now on.")
             self.draw_tab.refresh()
 

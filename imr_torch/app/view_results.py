@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from nicegui import ui
 
-from imr_torch.app.runs import Result, Runs
+from imr_torch.app.runs import Result, Runs, command_line
 
 
 @dataclass(eq=False)
@@ -27,7 +27,7 @@ class ResultsView:
     @ui.refreshable_method
     def draw_tab(self) -> None:
         """Draw it; the latest result is shown first."""
-        results = {result.name: result for result in self.runs.list_results()}
+        results = self.runs.list_results()
         if not results:
             ui.label("There are no results yet; run a command first.").classes("quiet")
             return
@@ -49,7 +49,7 @@ class ResultsView:
             ui.button(
                 "Use its options again", on_click=lambda: self.reuse(result.arguments)
             ).props("outline dense")
-        ui.label(result.command).classes("command")
+        ui.label(command_line(result.arguments)).classes("command")
         ui.label(f"Started {result.started}").classes("quiet")
         self._draw_content(result)
 

@@ -144,7 +144,7 @@ class RunView:
         return usual | {name: name for name in settings["choices"]}
 
     def _list_names(self, kind: str) -> Iterable[str]:
-        """What there is to choose of a kind."""
+        """What there is to choose of a kind: of earlier results, those that hold its file."""
         match kind:
             case "curves":
                 return self.workspace.load_curves().ids
@@ -154,17 +154,8 @@ class RunView:
                 return MODELS
             case "effects":
                 return LIBRARY
-            case "campaigns":
-                results = self.runs.list_results()
-                return [
-                    result.name for result in results if result.name.endswith("_campaign")
-                ]
-            case "characterizations":
-                results = self.runs.list_results()
-                return [
-                    r.name for r in results if (r.folder / "characterize.json").is_file()
-                ]
-        raise ValueError(f"forms.toml: nothing is listed for {kind!r}")
+        results = self.runs.list_results().items()
+        return [name for name, result in results if (result.folder / kind).is_file()]
 
     @ui.refreshable_method
     def _draw_command(self) -> None:
@@ -177,7 +168,7 @@ class RunView:
     @ui.refreshable_method
     def _draw_queue(self) -> None:
         """The run of this page that ended last, what is running, and what waits."""
-        results = {result.name: result for result in self.runs.list_results()}
+        results = self.runs.list_results()
         ended = [results[result.name] for result in self.mine if result.name in results]
         run = self.runs.current
         for result in [] if run else ended[-1:]:
@@ -190,7 +181,7 @@ class RunView:
                 ui.button("See the result", on_click=lambda: self.go("Results"))
         if run:
             with ui.card().classes("w-full"):
-                ui.label(run.result.command).classes("command")
+                ui.label(command_line(run.result.arguments)).classes("command")
                 ui.linear_progress(show_value=False).bind_value_from(
                     run, "part", lambda part: part or 0.0
                 )

@@ -8,7 +8,7 @@ any time.
 """
 
 import secrets
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
@@ -30,7 +30,6 @@ from imr_torch.observe import (
     load_collapse_times,
     load_traces,
     prepare,
-    state,
 )
 from imr_torch.reading.load import is_shot_file
 
@@ -251,14 +250,6 @@ class Workspace:
         return CurveView(
             trace, marks, (before, last), float(trace.time_s[last]), said, alone
         )
-
-    def state_values(self, view: CurveView, values: Mapping[str, float | None]) -> None:
-        """Write what a person states about a curve (:func:`imr_torch.observe.state`).
-
-        Raises:
-            InputDataError: if a value cannot be meant; nothing is written then.
-        """
-        state(view.trace.source, view.trace.experiment_id, values, alone=view.alone)
 
 
 def in_app_words(error: ImrError) -> str:

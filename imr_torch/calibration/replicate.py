@@ -145,10 +145,25 @@ def calibrate(
     >>> [replicate.number for replicate in found], "G" in found[0].reported
     ([0, 1, 2], True)
     """
+    learn = arrangement.learn or partial(ExperimentBatch, noise=arrangement.plan.noise)
     for number in numbers:
         own = child(seed, "replicate", number)
         truth = _draw_truth(arrangement, own, simulator)
-        yield judge_replicate(arrangement, truth, number, simulator, seed=own, infer=infer)
+        started = time.process_time()
+        answers: dict[str, Any]
+        try:
+            batch = learn(truth.experiments)
+            answers = (
+                _infer_replicate(arrangement, truth, batch, own, simulator)
+                if infer is None
+                else _rank_draws(arrangement, truth, batch, own, infer)
+            )
+        except ConvergenceError as error:
+            answers = {"failure": str(error)}
+        seconds = time.process_time() - started
+        yield Replicate(
+            number, truth.model, redrawn=truth.redrawn, seconds=seconds, **answers
+        )
 
 
 @dataclass(frozen=True)
@@ -159,32 +174,6 @@ class Truth:
     gel: Tensor
     experiments: tuple[Experiment, ...]
     redrawn: int
-
-
-def judge_replicate(
-    arrangement: Arrangement,
-    truth: Truth,
-    number: int,
-    simulator: Simulator,
-    *,
-    seed: int,
-    infer: Infer | None = None,
-) -> Replicate:
-    """The replicate of a gel that was drawn; arguments as of :func:`calibrate`."""
-    started = time.process_time()
-    answers: dict[str, Any]
-    learn = arrangement.learn or partial(ExperimentBatch, noise=arrangement.plan.noise)
-    try:
-        batch = learn(truth.experiments)
-        answers = (
-            _infer_replicate(arrangement, truth, batch, seed, simulator)
-            if infer is None
-            else _rank_draws(arrangement, truth, batch, seed, infer)
-        )
-    except ConvergenceError as error:
-        answers = {"failure": str(error)}
-    seconds = time.process_time() - started
-    return Replicate(number, truth.model, redrawn=truth.redrawn, seconds=seconds, **answers)
 
 
 def _rank_draws(

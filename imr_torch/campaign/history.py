@@ -109,12 +109,8 @@ class Ask:
 
 def describe_proposal(proposal: Proposal, surroundings: Surroundings) -> Document:
     """What the journal keeps of a design that was asked for."""
-    return {
-        "step": proposal.step,
+    return vars(proposal) | {
         "design": proposal.design.tolist(),
-        "gain": proposal.gain,
-        "gain_sd": proposal.gain_sd,
-        "reason": proposal.reason,
         "search": proposal.search and proposal.search.to_dict(surroundings),
     }
 
@@ -171,38 +167,27 @@ class History:
             InputDataError: if it lacks something, or is of no kind that a campaign writes.
         """
         match event:
-            case {"event": "start"} | {"event": "stop", "step": int(), "reason": str()}:
+            case {"event": "start" | "stop"}:
                 pass
-            case {
-                "event": "ask",
-                "step": int(step),
-                "design": [float() as weber, float() as rest],
-                "gain": (float() | int() | None) as gain,
-                "gain_sd": (float() | int() | None) as sd,
-                "reason": str(reason),
-                "search": (dict() | None) as search,
-            }:
-                design = tensor([weber, rest])
-                self.asked[step] = Ask(
-                    Proposal(step, design, gain, sd, reason=reason), search
-                )
-            case {"event": "failed", "step": int(step), "label": str(), "reason": str()}:
+            case {"event": "ask", "design": design, "search": search, **others}:
+                proposal = Proposal(design=tensor(design), **others)
+                self.asked[proposal.step] = Ask(proposal, search)
+            case {"event": "failed", "step": step}:
                 if ask := self.asked.get(step):
                     ask.failures += 1
                     if ask.failures == 2:
                         self.moved[step].append(ask.proposal.design)
-            case {"event": "observed", "step": int(), "experiments": list(records)}:
+            case {"event": "observed", "experiments": records}:
                 for record in records:
-                    self.told[int(record["number"])] = journal.restore_curves(record)
+                    self.told[record["number"]] = journal.restore_curves(record)
             case {
                 "event": "learnt",
-                "step": int(step),
-                "experiments": list(numbers),
-                "belief": dict(belief),
-                "evidence": list(rows),
+                "step": step,
+                "belief": belief,
+                "evidence": rows,
                 "noise": noise,
                 "finding": finding,
-            } if all(number in self.told for number in numbers):
+            }:
                 self.steps.append(
                     Step(
                         Belief.from_dict(belief),
@@ -214,15 +199,15 @@ class History:
                         number=step,
                     )
                 )
-            case {"event": "forget", "experiment": int(number)}:
+            case {"event": "forget", "experiment": number}:
                 self.withdrawn.append(self.told.pop(number))
                 self.steps = [step for step in self.steps if step.number < number]
                 for ask in self.asked.values():
                     ask.stale = True
             case _:
                 raise InputDataError(
-                    f"event {event['event']!r} lacks a field that a campaign writes, or holds one "
-                    f"of another kind, or is none of a campaign. {REMEDY}"
+                    f"event {event['event']!r} lacks a field that a campaign writes, or is none of "
+                    f"a campaign. {REMEDY}"
                 )
 
 

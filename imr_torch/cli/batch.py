@@ -17,14 +17,11 @@ from imr_torch.characterization.batch import (
 from imr_torch.cli.common import (
     METHODS,
     prior_of,
-    show_result,
+    report_result,
     simulator_of,
-    write_result,
 )
-from imr_torch.cli.progress import BATCH
 from imr_torch.errors import ConvergenceError, InputDataError, UnsupportedError
 from imr_torch.observe import find_files
-from imr_torch.results import document_report
 from imr_torch.simulate import process_pool
 from imr_torch.threads import cores
 
@@ -62,13 +59,11 @@ def run_command(args: Namespace) -> None:
             options=options,
             executor=executor,
             window=512 if args.cluster else workers,
-            progress=args.terminal.plan_stages(BATCH),
+            progress=args.terminal.plan_stages(),
         )
-    document = write_result(args, summary.to_dict())
-    print(document_report(document))
-    print(f"wrote {folder / 'summary.csv'}")
     args.html = folder / "summary.html"
-    show_result(args, document)
+    report_result(args, summary.to_dict())
+    print(f"wrote {folder / 'summary.csv'}")
     if failed := summary.count(FAILED):
         raise InputDataError(
             f"{failed} of {len(summary.rows)} shots have no result, for the reasons above; the "

@@ -28,7 +28,6 @@ from imr_torch.files import remove_temporaries
 from imr_torch.material import PARAMETERS, Belief, ReferenceCase, reference_case
 from imr_torch.observe import (
     Experiment,
-    GelMedium,
     SimulatedLaboratory,
     find_files,
     load_traces,
@@ -73,12 +72,25 @@ def run_command(args: Namespace) -> None:
         with campaign.journal.hold_lock():
             remove_temporaries(campaign.journal.folder, f"{args.command}.json", "*.png")
             proposals: Sequence[Proposal] = ()
+            truth = None
+            errors = {}
             if case:
                 stopped = _run_simulated(campaign, case, args)
+                part = campaign.belief[case.truth_model]
+                means = dict(zip(part.names, part.means.tolist(), strict=True))
+                truth = {name: case.truth[name] for name in means}
+                errors = {name: abs(x / truth[name] - 1.0) for name, x in means.items()}
             else:
                 proposals, stopped = _run_real(campaign, args)
-            seconds = time.process_time() - started
-            _report_campaign(campaign, case, args, seconds, proposals, stopped)
+            document = campaign_document(
+                campaign, proposals=proposals, stopped=stopped, truth=truth
+            ) | {
+                "relative_error": errors,
+                "cpu_seconds": time.process_time() - started,
+                "medium_unstated": exact_medium(args, campaign.belief),
+            }
+            report_result(args, document)
+            print(f"figures and journal in {campaign.journal.folder}")
     except KeyboardInterrupt:
         kept = (
             f"; what was finished is in {campaign.journal.path}, continue with --resume"
@@ -175,7 +187,15 @@ def _run_real(campaign: Campaign, args: Namespace) -> tuple[Sequence[Proposal], 
                 raise
             failed.append((path.name, error))
             continue
-        _check_medium(medium, args)
+        new = [name for name in medium.sources if name not in args.gel_medium.sources]
+        if new:
+            raise InputDataError(
+                f"A told file states the medium ({medium.report().splitlines()[0]}), and this "
+                f"campaign assumed its {label(new[0])}; tell the file to a campaign that begins with "
+                "--medium and these values."
+            )
+        for note in medium.notes:
+            print(note)
         experiments += prepared.experiments
     if args.forget is not None:
         campaign.forget(args.forget, progress=progress)
@@ -188,44 +208,3 @@ def _run_real(campaign: Campaign, args: Namespace) -> tuple[Sequence[Proposal], 
     if reason := campaign.reason_to_stop():
         return (), reason
     return campaign.ask_several(args.q, progress=progress), None
-
-
-def _check_medium(told: GelMedium, args: Namespace) -> None:
-    """The medium of a campaign is stated when it begins: told files may say the same, or be
-    overruled by --medium, said.
-    """
-    own = args.gel_medium
-    new = [name for name in told.sources if name not in own.sources]
-    if new:
-        raise InputDataError(
-            f"A told file states the medium ({told.report().splitlines()[0]}), and this campaign "
-            f"assumed its {label(new[0])}; "
-            "tell the file to a campaign that begins with --medium and these values."
-        )
-    for note in told.notes:
-        print(note)
-
-
-def _report_campaign(
-    campaign: Campaign,
-    case: ReferenceCase | None,
-    args: Namespace,
-    seconds: float,
-    proposals: Sequence[Proposal],
-    stopped: str | None,
-) -> None:
-    """Print the belief and what to shoot next; write JSON, figures and page."""
-    truth = None
-    errors = {}
-    if case:
-        part = campaign.belief[case.truth_model]
-        means = dict(zip(part.names, part.means.tolist(), strict=True))
-        truth = {name: case.truth[name] for name in means}
-        errors = {name: abs(mean / truth[name] - 1.0) for name, mean in means.items()}
-    document = campaign_document(
-        campaign, proposals=proposals, stopped=stopped, truth=truth
-    )
-    unstated = exact_medium(args, campaign.belief)
-    said = {"relative_error": errors, "cpu_seconds": seconds, "medium_unstated": unstated}
-    report_result(args, document | said)
-    print(f"figures and journal in {campaign.journal.folder}")

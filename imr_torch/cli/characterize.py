@@ -4,7 +4,6 @@ import shlex
 from argparse import Namespace
 from pathlib import Path
 
-from imr_torch.assimilate import NOISE_ROUNDS
 from imr_torch.characterization import characterize
 from imr_torch.cli.common import (
     METHODS,
@@ -15,7 +14,6 @@ from imr_torch.cli.common import (
     write_result,
 )
 from imr_torch.cli.options import COLLAPSES
-from imr_torch.cli.progress import characterize_stages
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.export import write_mat
 from imr_torch.files import write_bytes
@@ -62,16 +60,19 @@ def _characterize(args: Namespace) -> None:
             read.append(prepared.report(frames=False))
             print(read[-1])
 
-    rounds = NOISE_ROUNDS if args.noise == "estimated" else 0
+    estimate_noise = args.noise == "estimated"
     drawn = bool(args.out or args.html)
-    stages = characterize_stages(
-        rounds, curves=len(traces) > 0, population=args.population, figures=drawn
+    progress = args.terminal.plan_stages(
+        noise=estimate_noise,
+        curves=len(traces) > 0,
+        population=args.population,
+        figures=drawn,
     )
     result = characterize(
         traces,
         prior=prior,
         simulator=simulator,
-        estimate_noise=args.noise == "estimated",
+        estimate_noise=estimate_noise,
         collapses=args.collapses,
         rest_radius=args.rest_radius,
         growth=args.growth,
@@ -84,7 +85,7 @@ def _characterize(args: Namespace) -> None:
         over_time=args.over_time,
         seed=args.seed,
         on_prepared=show_prepared,
-        progress=args.terminal.plan_stages(stages),
+        progress=progress,
     )
     command = diagnose_command(args, choose_base(result.posterior))
     # before any figure, so that nothing is lost
@@ -95,7 +96,7 @@ def _characterize(args: Namespace) -> None:
     if args.out:
         write_bytes(Path(args.out) / "report.txt", report.encode())
     if drawn:
-        args.terminal(ProgressLine("figures", stage="figures"))
+        progress(ProgressLine("figures", stage="figures"))
     show_result(args, document, report=report)
     if args.mat:
         write_mat(document, args.mat)

@@ -4,6 +4,7 @@ import shlex
 from argparse import Namespace
 from pathlib import Path
 
+from imr_torch.cli.options import COMMANDS
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.files import example_gel, write_bytes
 
@@ -50,27 +51,10 @@ def _list_commands(folder: Path, args: Namespace) -> list[list[str]]:
     """The arguments of the two commands of the demo."""
     from imr_torch.campaign import Journal
 
-    gel = "--models nhkv,gen_qkv"
-    shots = "--case stiff-pa --designs 2"
-    if args.short:
-        gel = "--models nhkv --experiments shot_1,shot_3 --noise published"
-        shots = "--case soft-pa --designs 1 --evaluations 4 --physics polytropic"
-    if Journal(folder / "campaign").events:
-        shots += " --resume"
-    table, result, journal, first, second = (
-        str(folder / name)
-        for name in (
-            example_gel().name,
-            "characterize",
-            "campaign",
-            "gel.html",
-            "campaign.html",
-        )
-    )
-    return [
-        ["characterize", table, *gel.split(), "--out", result, "--html", first],
-        ["campaign", *shots.split(), "--out", journal, "--html", second],
-    ]
+    runs = COMMANDS[args.command]["short" if args.short else "long"]
+    commands = [[word.format(folder=folder) for word in run.split()] for run in runs]
+    commands[-1] += ["--resume"] * bool(Journal(folder / "campaign").events)
+    return commands
 
 
 def _passed_on(args: Namespace) -> list[str]:

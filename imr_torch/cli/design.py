@@ -11,7 +11,6 @@ from imr_torch.cli.common import (
     report_result,
     with_medium,
 )
-from imr_torch.cli.progress import DESIGN
 from imr_torch.design import (
     DesignSpace,
     ExpectedInformationGain,
@@ -94,7 +93,7 @@ def run_command(args: Namespace) -> None:
         evaluations=args.evaluations,
         initial=min(Optimal.initial, args.evaluations),
         batch=Optimal.batch,
-        progress=args.terminal.plan_stages(DESIGN),
+        progress=args.terminal.plan_stages(),
     )
     first, *further = (
         step.to_dict(surroundings)

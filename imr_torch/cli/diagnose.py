@@ -7,19 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from imr_torch.characterization import medium_document, medium_of
-from imr_torch.cli.common import (
-    refuse_options,
-    report_result,
-    show_result,
-    simulator_of,
-    write_result,
-)
-from imr_torch.cli.progress import diagnose_stages
+from imr_torch.cli.common import refuse_options, report_result, simulator_of
 from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.gap import (
     Effect,
     compare_gels,
-    describe,
     diagnose,
     examine,
     library,
@@ -79,7 +71,7 @@ def _compare_files(args: Namespace) -> None:
     names = [Path(file).stem for file in args.files]
     if len(set(names)) < max(2, len(names)):
         raise InputDataError(
-            f"--gels takes each file as a gel; got {', '.join(names)}: give two or more of "
+            f"--gels takes each file as a gel, and got {', '.join(names)}; give two or more of "
             "different names."
         )
     each = [Namespace(**vars(args) | {"files": [file]}) for file in args.files]
@@ -114,7 +106,7 @@ def run_command(args: Namespace) -> None:
             f"--heldout leaves none of the {len(experiments)} experiments to fit; hold out fewer."
         )
     estimate_noise = _estimates_noise(args)
-    progress = args.terminal.plan_stages(diagnose_stages(estimate_noise=estimate_noise))
+    progress = args.terminal.plan_stages(noise=estimate_noise)
     report = diagnose(
         fitted,
         base=inquiry.base,
@@ -132,11 +124,9 @@ def run_command(args: Namespace) -> None:
     )
     document = to_json(report, parts, simulator=simulator) | {"record": record.to_dict()}
     document |= medium_document(medium, assumed, fit.posterior)
-    print(describe(document))
     args.gel_medium = medium
     progress(ProgressLine("figures", stage="figures"))
-    document = write_result(args, document | {"seconds": time.perf_counter() - started})
-    show_result(args, document)
+    report_result(args, document | {"seconds": time.perf_counter() - started})
     if not report.converged:
         raise ConvergenceError(
             "a fit that the verdict rests on has not converged (see above)."

@@ -4,11 +4,11 @@ no other figure.
 
 from argparse import Namespace
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import matplotlib
 import matplotlib.pyplot as plt
-from matplotlib.figure import Figure
 
 from imr_torch.cli.options import FORMATS
 from imr_torch.errors import InputDataError, in_one_line
@@ -26,7 +26,12 @@ def run_command(args: Namespace) -> None:
         InputDataError: naming the file, for a result that is not whole, or of which a figure could
             not be drawn.
     """
-    formats = formats_of(args.format)
+    formats = [part.strip().lower() for part in args.format.split(",")]
+    if not set(formats) <= set(FORMATS):
+        raise InputDataError(
+            f"--format is {args.format!r}; expected some of {', '.join(FORMATS)} with commas "
+            "between."
+        )
     document = read_document(args.file)
     folder = Path(args.out) if args.out else Path(args.file).parent
     try:
@@ -37,33 +42,6 @@ def run_command(args: Namespace) -> None:
             write_page(document, args.html)
     except InputDataError as error:
         raise InputDataError(f"{args.file}: {error}") from None
-
-
-def formats_of(text: str) -> list[str]:
-    """``"png,pdf"`` as formats.
-
-    Raises:
-        InputDataError: for a format that is not known, or none.
-    """
-    found = [part.strip().lower() for part in text.split(",")]
-    if not set(found) <= set(FORMATS):
-        raise InputDataError(
-            f"--format is {text!r}; expected some of {', '.join(FORMATS)} with commas between."
-        )
-    return found
-
-
-def _save_figure(figure: Figure, folder: Path, name: str, formats: Sequence[str]) -> None:
-    """Save a figure in each format, atomically; its layout is that of the first one."""
-    for kind in formats:
-        with plt.rc_context(
-            {"pdf.fonttype": 42, "svg.fonttype": "none"}
-        ):  # text stays text
-            write_atomically(
-                folder / f"{name}.{kind}",
-                lambda stream, kind=kind: figure.savefig(stream, format=kind, dpi=150),
-            )
-        figure.set_layout_engine("none")  # else made anew for each format
 
 
 def save_figures(
@@ -90,7 +68,15 @@ def save_figures(
             text = f"figures: {item.name}"
             progress(ProgressLine(text, step="figures", done=number, of=2 * len(figures)))
         try:
-            _save_figure(item.draw(), folder, item.name, formats)
+            figure = item.draw()
+            for kind in formats:
+                # text stays text
+                with plt.rc_context({"pdf.fonttype": 42, "svg.fonttype": "none"}):
+                    write_atomically(
+                        folder / f"{item.name}.{kind}",
+                        partial(figure.savefig, format=kind, dpi=150),
+                    )
+                figure.set_layout_engine("none")  # else made anew for each format
         except (
             OSError
         ):  # a full disk, a folder without permission: no figure can be written

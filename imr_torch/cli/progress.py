@@ -12,11 +12,12 @@ import shutil
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack, redirect_stdout
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, TextIO
 
+from imr_torch.files import read_table
 from imr_torch.progress import ProgressLine
 
 
@@ -33,59 +34,6 @@ class Stage:
     name: str
     share: float
     key: str = ""
-
-
-def characterize_stages(
-    noise_rounds: int,
-    *,
-    curves: bool = True,
-    population: bool = False,
-    figures: bool = True,
-) -> tuple[Stage, ...]:
-    """The stages of ``characterize``: one fit per noise law, draws, the fit test, perhaps each shot
-    alone, and figures.
-
-    >>> from imr_torch.cli.progress import characterize_stages
-    >>> [stage.name for stage in characterize_stages(1, figures=False)]
-    ['fit of all models', 'fit with the estimated noise', 'posterior draws', 'fit test']
-    """
-    # shares measured on the example gel, PA1 and S2 of RESULTS, alone and as populations, on two
-    # simulated gels, and on collapse times
-    stages = [Stage("fit of all models", 1.0)]
-    for number in range(1, noise_rounds + 1):
-        again = f" (round {number} of {noise_rounds})" if noise_rounds > 1 else ""
-        stages.append(Stage(f"fit with the estimated noise{again}", 0.8, "noise"))
-    # of draws of one gel, collapse times are interpolated
-    stages.append(Stage("posterior draws", 6.0 if curves else 2.0, "draws"))
-    stages.append(Stage("fit test", 0.5, "fit test"))
-    if population:
-        stages.append(Stage("each shot by itself", 5.0, "shots"))
-        stages.append(Stage("the population", 1.0, "population"))
-    if figures:
-        stages.append(Stage("figures", 1.0, "figures"))
-    return tuple(stages)
-
-
-def diagnose_stages(*, estimate_noise: bool) -> tuple[Stage, ...]:
-    """The stages of ``diagnose``; the share of causes is that of one selection.
-
-    >>> from imr_torch.cli.progress import diagnose_stages
-    >>> [stage.name for stage in diagnose_stages(estimate_noise=True)][1:]
-    ['causes', 'location, reduction, next design', 'figures']
-    """
-    # shares measured on PA1, S2 and gelatin, and on labelled sets
-    return (
-        Stage("fit of the base model and test for a gap", 1.0),
-        Stage("causes", 7.5 if estimate_noise else 4.0, "effects"),
-        Stage(
-            "location, reduction, next design", 4.0 if estimate_noise else 2.0, "location"
-        ),
-        Stage("figures", 0.3, "figures"),
-    )
-
-
-DESIGN = (Stage("search of designs", 1.0),)
-BATCH = (Stage("shots", 1.0),)
 
 
 @dataclass(eq=False)
@@ -106,11 +54,11 @@ class Terminal:
         early: part of the work before which no time left is said.
 
     >>> import io
-    >>> from imr_torch.cli.progress import Terminal, diagnose_stages
+    >>> from imr_torch.cli.progress import Terminal
     >>> from imr_torch.progress import ProgressLine
     >>> stream = io.StringIO()
     >>> with Terminal("diagnose", stream=stream, clock=lambda: 0.0) as terminal:
-    ...     _ = terminal.plan_stages(diagnose_stages(estimate_noise=True))
+    ...     _ = terminal.plan_stages(noise=True)
     ...     terminal(ProgressLine("assimilation: iteration 3, nhkv cost -606.92", step="iteration 3"))
     >>> print(stream.getvalue().strip())
     diagnose, stage 1 of 4, 0:00: fit of the base model and test for a gap, iteration 3
@@ -138,11 +86,20 @@ class Terminal:
         self.plan_stages()
         self._begun = False
 
-    def plan_stages(self, stages: Sequence[Stage] = ()) -> "Terminal":
-        """Name the stages to come, from the first; returns itself."""
+    def plan_stages(self, **given: bool) -> "Terminal":
+        """Begin with the first of the command's stages (``data/stages.toml``); returns itself.
+
+        Args:
+            given: what decides which stages there are: whether there are ``curves``, the ``noise``
+                is inferred, a ``population`` is, ``figures`` are drawn.
+        """
         with self._lock:
-            self.stages = tuple(stages)
-            self.shares = [stage.share for stage in stages]
+            self.stages = [
+                Stage(row["name"], row["share"], row.get("key", ""))
+                for row in read_table("stages").get(self.command, ())
+                if row.get("where", {}).items() <= given.items()
+            ]
+            self.shares = [stage.share for stage in self.stages]
             self.at = 0
             self.step = ""
             self.part = 0.0

@@ -16,7 +16,7 @@ from jaxtyping import Float, Real
 from torch import Tensor
 from torch.distributions import Distribution, constraints
 
-from imr_torch.errors import InputDataError, ShapeError
+from imr_torch.errors import ShapeError
 from imr_torch.float64 import ones, randn
 from imr_torch.material import ModelBelief
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, predict
@@ -30,7 +30,6 @@ class ModelPrior(Distribution):
 
     Args:
         belief: the model's belief.
-        dtype: of samples and log densities.
 
     >>> from imr_torch import wide_prior
     >>> from imr_torch.export import ModelPrior
@@ -39,9 +38,8 @@ class ModelPrior(Distribution):
     torch.Size([5, 2])
     """
 
-    def __init__(self, belief: ModelBelief, *, dtype: torch.dtype = torch.float32) -> None:
+    def __init__(self, belief: ModelBelief) -> None:
         self.belief = belief
-        self.dtype = dtype
         super().__init__(torch.Size(), torch.Size([len(belief.names)]), validate_args=False)
 
     def expand(self, batch_shape: Sequence[int], _instance: Any = None) -> "ModelPrior":
@@ -73,21 +71,21 @@ class ModelPrior(Distribution):
     @property
     def mean(self) -> Controls:
         """``d`` tensor."""
-        return self.belief.means.to(self.dtype)
+        return self.belief.means.float()
 
     @property
     def variance(self) -> Controls:
         """``d`` tensor."""
-        return self.belief.sds.square().to(self.dtype)
+        return self.belief.sds.square().float()
 
     def sample(self, sample_shape: Sequence[int] = ()) -> Float[Tensor, "*sample controls"]:
         """``sample_shape x d`` draws, from torch's global generator as the contract has it."""
         noise = randn(*sample_shape, len(self.belief.names))
-        return self.belief.physical(self.belief.unwhitened(noise)).to(self.dtype)
+        return self.belief.physical(self.belief.unwhitened(noise)).float()
 
     def log_prob(self, value: BatchControls) -> Values:
         """Log density at ``... x d`` parameters: ``...`` tensor, ``-inf`` outside the support."""
-        return self.belief.log_prob(value.to(torch.float64)).to(self.dtype)
+        return self.belief.log_prob(value.to(torch.float64)).float()
 
 
 def _bound_parameter(lower: float, upper: float) -> constraints.Constraint:
@@ -113,7 +111,6 @@ class SbiSimulator:
         simulator: makes the bubbles.
         batch: designs and times; its radii are not used.
         seed: of noise and nuisances; the state goes on from call to call.
-        dtype: of ``x``.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, wide_prior
@@ -129,7 +126,6 @@ class SbiSimulator:
     simulator: Simulator
     batch: ExperimentBatch
     seed: SeedLike
-    dtype: torch.dtype
 
     def __post_init__(self) -> None:
         self.seed = generator(self.seed)
@@ -159,7 +155,7 @@ class SbiSimulator:
             clean + sd * batch.noise.correlated(noise, batch.times, batch.mask)
         ).flatten(1)
         seen = torch.where(seen.isnan().any(1, keepdim=True), torch.nan, seen)
-        return seen.to(self.dtype).reshape(*theta.shape[:-1], -1)
+        return seen.float().reshape(*theta.shape[:-1], -1)
 
 
 def sbi_simulator(
@@ -171,7 +167,6 @@ def sbi_simulator(
     seed: int,
     noise: Noise | None = None,
     nuisance: Nuisance | None = None,
-    dtype: torch.dtype = torch.float32,
 ) -> tuple[ModelPrior, SbiSimulator]:
     """Prior and simulator of one model for sbi.
 
@@ -184,7 +179,6 @@ def sbi_simulator(
         seed: of noise and nuisances (the prior draws from torch's global generator).
         noise: observation noise; the published law by default.
         nuisance: what is uncertain about each design and clock; nothing by default.
-        dtype: of everything that comes out.
 
     Returns:
         The prior, and the simulator whose output is the curves of all designs one after the other.
@@ -206,8 +200,6 @@ def sbi_simulator(
         raise ShapeError(
             f"designs has shape {tuple(designs.shape)}; expected q x 2 with (We, R_inf*)."
         )
-    if dtype not in (torch.float32, torch.float64):
-        raise InputDataError(f"dtype is {dtype}; expected torch.float32 or torch.float64.")
     blank = ones(1, len(times))
     shots = tuple(
         Experiment(
@@ -220,6 +212,4 @@ def sbi_simulator(
         for i, (weber, rest) in enumerate(designs.tolist())
     )
     batch = ExperimentBatch(shots, noise or Noise())
-    return ModelPrior(belief, dtype=dtype), SbiSimulator(
-        belief, simulator, batch, seed=seed, dtype=dtype
-    )
+    return ModelPrior(belief), SbiSimulator(belief, simulator, batch, seed=seed)

@@ -153,7 +153,7 @@ def fit_hypotheses(
         nuisances=[deviating(null, h) for h in hypotheses],
         twice=twice,
     )
-    first = 0.4 if far else 1.0
+    first = 0.5 if far else 1.0  # part of the time
     found = search(options=options, progress=within(inquiry.progress, 0.0, first))
     if far:
         lowest = min(options.rival, *(fit.cost for fit in found))
@@ -253,7 +253,7 @@ def _descend(
         return list(fits)
     reach = None if options.drop_behind is None else options.drop_behind + error
     rough = replace(options, drop_behind=reach, gradient=max(options.gradient, _ROUGHLY))
-    early = within(progress, 0.0, 0.65)
+    early = within(progress, 0.0, 0.75)
     found = from_starts(belief, batch, coarse, options=rough, progress=early).fits
     fits = [_seen_by(fit, batch, simulator) for fit in found]
     limit = min(*(fit.cost for fit in fits), options.rival) + (
@@ -262,7 +262,7 @@ def _descend(
     near = [i for i, fit in enumerate(fits) if fit.cost - promised(fit) <= limit]
     near.sort(key=lambda i: fits[i].cost)
     own = replace(options, starts=2, mask_collapses=False)
-    report = within(progress, 0.65, 0.8, name="near the best")
+    report = within(progress, 0.75, 0.87, name="near the best")
     others = near[twice:]
     if error < NEARLY:
         for i in others:
@@ -278,7 +278,7 @@ def _descend(
             gels = [fit.mean[None] for fit in chosen]
             begin = {"starts": gels, "nuisances": [fit.nuisances for fit in chosen]}
         ended = search(kept, batch, simulator, options=own, progress=report, **begin).fits
-        report = within(progress, 0.8, 1.0, name="near the best")
+        report = within(progress, 0.87, 1.0, name="near the best")
         for i, fit in zip(places, ended, strict=True):
             agreement = found[i].certificate.agreement
             if again:

@@ -8,6 +8,7 @@ The base model is fitted to each gel by itself; what is left of all is compared 
 from collections.abc import Mapping
 
 from imr_torch.assimilate import SearchOptions
+from imr_torch.errors import InputDataError
 from imr_torch.gap.diagnose import fit_base
 from imr_torch.gap.fits import fit_hypotheses
 from imr_torch.gap.hypotheses import Hypothesis, Inquiry
@@ -60,6 +61,10 @@ def compare_gels(
     >>> found.causes[0].name
     'size_drag'
     """
+    if len(gels) < 2:
+        raise InputDataError(
+            f"What is common is asked of {len(gels)} gel; give two or more."
+        )
     fitted = []
     ahead: list[str] = []
     for name, gel in gels.items():
@@ -85,11 +90,11 @@ def compare_gels(
                 twice=0,
             )
             # with an effect, a search may lead to collapses that none reaches without
-            costs = {name: fit.cost + gain * (name != NONE) for name, fit in fits.items()}
-            best = min(costs, key=costs.__getitem__)
-            lead = longer[best].effects[0] if best != NONE else None
+            fit = min(
+                fits.values(), key=lambda fit: fit.cost + gain * (fit is not fits[NONE])
+            )
             followed.append(
-                FollowedGel.follow(fits[best], inquiry.batch, inquiry.simulator, lead=lead)
+                FollowedGel.follow(inquiry.base, fit, inquiry.batch, inquiry.simulator)
             )
         found = compare_unknowns(followed, fitted[0][0].effects)
         known = [cause for cause in found.causes if cause.intervals]

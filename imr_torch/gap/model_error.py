@@ -52,7 +52,7 @@ from imr_torch.material import Effect
 from imr_torch.material.model_belief import LEVELS
 from imr_torch.random import child, generator
 from imr_torch.types import DrawnControls
-from imr_torch.unknown.linear import LinearSystem, Refit
+from imr_torch.unknown.linear import LinearSystem
 
 FOUND = 0.9
 """Chance with which the size that is said would have been found."""
@@ -107,55 +107,42 @@ def model_error(report: GapReport, *, seed: int = 0) -> ModelError:
     source = generator(child(seed, "model error"))
     shares = _shares(report)
     total = sum(shares.values())
-    frames = int(report.batch.mask.sum())
-    found = _judged(report)
-    places = [(report.null, report.left, 1.0)]
-    places += [(step.winner_fit, step.left, PRIOR_TWO) for step in report.steps]
+    counts = {name: round(_DRAWS * share / total) for name, share in shares.items()}
+    rows = [_draw_under(report, *item, source) for item in counts.items() if item[1]]
     part = report.null.prior
-    rows = []
-    for name, weight in shares.items():
-        count = round(_DRAWS * weight / total)
-        if not count:
-            continue
-        drawn = []
-        if name == OTHER and report.steps:
-            drawn += _with_known(report, round(_ALIKE * count), source)
-            count -= sum(len(moved) for _, moved in drawn)
-        if name in (OTHER, SLOW_NOISE):
-            budgets = [
-                (
-                    fit,
-                    math.log(prior),
-                    missing_system(left, inside=name == OTHER).solve(size),
-                )
-                for fit, left, prior in places
-                for size in _SIZES
-            ]
-            drawn += _with_unknown(budgets, frames, count, source)
-        else:
-            fit = report.null
-            if found is not None:
-                fit = found.fits[found.held.name if name == NONE else name]
-            drawn.append(
-                (fit, _draw(fit, overdispersion(fit, report.batch), count, source))
-            )
-        controls = torch.cat([_controls_of(part.names, fit, moved) for fit, moved in drawn])
-        if name == report.verdict == OTHER:
-            middle = controls.median(0).values
-            controls = middle + _STRANGER * (controls - middle)
-        rows.append(controls)
     levels = part.physical(torch.cat(rows).quantile(tensor(LEVELS), dim=0))
     line = report.left.line
     square = float(line.residual[: line.batch.mask.numel()].square().sum())
+    frames = int(report.batch.mask.sum())
     return ModelError(
         dict(zip(part.names, levels.mT.tolist(), strict=True)),
         math.sqrt(max(square - frames, 0.0)),
     )
 
 
-def _controls_of(
-    names: Sequence[str], fit: ModelFit, moved: DrawnControls
+def _draw_under(
+    report: GapReport, cause: str, count: int, source: torch.Generator
 ) -> DrawnControls:
+    """Normal scores of the base model's parameters under one cause."""
+    if cause in (OTHER, SLOW_NOISE):
+        known = round(_ALIKE * count) if cause == OTHER and report.steps else 0
+        drawn = _with_known(report, known, source) if known else []
+        drawn += _with_unknown(report, count - known, source, inside=cause == OTHER)
+    else:
+        found = _judged(report)
+        fit = report.null
+        if found is not None:
+            fit = found.fits[found.held.name if cause == NONE else cause]
+        drawn = [(fit, _draw(fit, overdispersion(fit, report.batch), count, source))]
+    names = report.null.prior.names
+    scores = torch.cat([_scores_of(names, fit, moved) for fit, moved in drawn])
+    if cause == report.verdict == OTHER:
+        middle = scores.median(0).values
+        scores = middle + _STRANGER * (scores - middle)
+    return scores
+
+
+def _scores_of(names: Sequence[str], fit: ModelFit, moved: DrawnControls) -> DrawnControls:
     """Normal scores of the gel's parameters, whose marginals are the same in every fit."""
     return fit.prior.unwhitened(moved)[:, [fit.prior.names.index(name) for name in names]]
 
@@ -215,16 +202,22 @@ def _with_known(
 
 
 def _with_unknown(
-    budgets: Sequence[tuple[ModelFit, float, Refit]],
-    frames: int,
-    count: int,
-    source: torch.Generator,
+    report: GapReport, count: int, source: torch.Generator, *, inside: bool
 ) -> list[tuple[ModelFit, DrawnControls]]:
-    """Controls drawn from refits in proportion to their prior and evidence, by the fit that they are
-    about.
+    """Controls drawn from error budgets about the base model's fit and those of the winners, each of
+    both sizes, in proportion to their prior and evidence.
 
     Misfit that even the best of them leaves counts as noise.
     """
+    places = [(report.null, report.left, 0.0)]
+    beside = math.log(PRIOR_TWO)
+    places += [(step.winner_fit, step.left, beside) for step in report.steps]
+    budgets = [
+        (fit, prior, missing_system(left, inside=inside).solve(size))
+        for fit, left, prior in places
+        for size in _SIZES
+    ]
+    frames = int(report.batch.mask.sum())
     least = max(1.0, min(refit.misfit for _, _, refit in budgets) / frames)
     logs = tensor(
         [p + refit.log_volume - 0.5 * refit.misfit / least for _, p, refit in budgets]

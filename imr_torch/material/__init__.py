@@ -3,7 +3,7 @@
 from imr_torch.material.belief import Belief, Draws
 from imr_torch.material.cases import CASES, ReferenceCase, reference_case, wide_prior
 from imr_torch.material.effect import LIBRARY, Effect, library, register_effect
-from imr_torch.material.marginals import LogNormal, Marginal, Quantile, TruncatedNormal
+from imr_torch.material.marginals import LogNormal, Marginal, TruncatedNormal
 from imr_torch.material.model_belief import Cloud, ModelBelief
 from imr_torch.material.models import (
     MATERIALS,
@@ -35,7 +35,6 @@ __all__ = [
     "ModelBelief",
     "Parameter",
     "Part",
-    "Quantile",
     "ReferenceCase",
     "Stress",
     "StressTerm",

@@ -108,12 +108,6 @@ class Belief:
                 raise InputDataError(
                     f"Model {key!r} needs a prior of each of {free}; got {tuple(marginals)}."
                 )
-            missing = [name for name in kind.known if name not in given]
-            if missing:
-                raise InputDataError(
-                    f"Model {key!r} takes {missing} as known; give its value in SI units in "
-                    "`known`."
-                )
             of_model = set(kind.names) - set(free)
             fixed = {
                 name: float(value) for name, value in given.items() if name in of_model

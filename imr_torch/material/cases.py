@@ -103,8 +103,7 @@ def wide_prior(
                 f"known: {name!r} is a parameter of none of {', '.join(models)}; these have "
                 f"{sorted(of_models)}."
             )
-    repeated = [key for key in dict.fromkeys(models) if list(models).count(key) > 1]
-    if repeated or not models:
+    if not models or len(set(models)) < len(models):
         raise InputDataError(
             f"models is {list(models)}; name at least one model, each once."
         )

@@ -26,7 +26,7 @@ from typing import Literal
 from imr_torch.elementary import Law, obstacle_of
 from imr_torch.errors import InputDataError
 from imr_torch.files import read_table
-from imr_torch.material.marginals import Marginal, TruncatedNormal, make_marginal
+from imr_torch.material.marginals import MARGINALS, Marginal, TruncatedNormal
 from imr_torch.material.models import material
 from imr_torch.material.parameters import PARAMETERS
 
@@ -72,6 +72,7 @@ class Effect:
         film: ``film(radius, time, *parameters)``, R* as the camera sees it where the true one is
             ``radius`` at ``time``, in tensors.
         offered: whether a diagnosis tries it though nobody names it.
+        note: what a reader should know beside the meaning.
 
     >>> from imr_torch.material import LIBRARY
     >>> effect = LIBRARY["stress_relaxation"]
@@ -94,11 +95,12 @@ class Effect:
     far_field: Law | None = None
     film: Law | None = None
     offered: bool = True
+    note: str = ""
     names: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "names", tuple(self.priors))
-        for name in (*self.names, *((self.needs,) if self.needs else ())):
+        for name in filter(None, (*self.names, self.needs)):
             PARAMETERS[name]
         if PARAMETERS[self.names[0]].neutral != 0.0:
             raise InputDataError(
@@ -251,6 +253,9 @@ def library(
 
 
 for _name, _row in read_table("effects").items():
-    _priors = {name: make_marginal(*prior) for name, prior in _row.pop("priors").items()}
+    _priors = {
+        name: MARGINALS[kind](*numbers)
+        for name, (kind, *numbers) in _row.pop("priors").items()
+    }
     _starts = tuple(map(tuple, _row.pop("starts", ())))
     register_effect(Effect(_name, priors=_priors, starts=_starts, **_row))

@@ -89,8 +89,8 @@ def integrate_over_gel(
     radius: Scalar,
     velocity: Scalar,
     rest_radius: Scalar,
-    G: Scalar,
     excess: Law,
+    G: Scalar,
     *parameters: Scalar,
 ) -> Scalars:
     """What a strain energy adds to the neo-Hookean stress: ``-2 G int (b^-2 + b^-5) excess(b) db``.
@@ -108,76 +108,40 @@ def integrate_over_gel(
     return G * span * mean, G * slope * velocity / radius, 0.0
 
 
-def _second_order_excess(stretch: Scalar, alpha: Scalar) -> Scalar:
-    scaled = alpha * _find_invariant(stretch)
+def second_order_fung(stretch: Scalar, alpha_fung2: Scalar) -> Scalar:
+    """The exponential law to second order: ``f = 1 + a x + a^2 x^2/2`` at ``x = I_1 - 3``."""
+    scaled = alpha_fung2 * _find_invariant(stretch)
     return scaled * (1.0 + 0.5 * scaled)
 
 
-def second_order_fung(
-    radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, alpha_fung2: Scalar
-) -> Scalars:
-    """The exponential law to second order: ``f = 1 + a x + a^2 x^2/2`` at ``x = I_1 - 3``."""
-    return integrate_over_gel(
-        radius, velocity, rest_radius, G, _second_order_excess, alpha_fung2
-    )
-
-
-def _exponential_excess(stretch: Scalar, alpha: Scalar) -> Scalar:
-    exponent = alpha * _find_invariant(stretch)
+def exponential_fung(stretch: Scalar, alpha_fung: Scalar) -> Scalar:
+    """``W = G/(2 a) (exp(a (I_1 - 3)) - 1)`` (Fung 1967): ``f = exp(a x)``."""
+    exponent = alpha_fung * _find_invariant(stretch)
     return expm1(where(real(exponent) > STIFFEST_EXPONENT, STIFFEST_EXPONENT, exponent))
 
 
-def exponential_fung(
-    radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, alpha_fung: Scalar
-) -> Scalars:
-    """``W = G/(2 a) (exp(a (I_1 - 3)) - 1)`` (Fung 1967): ``f = exp(a x)``."""
-    return integrate_over_gel(
-        radius, velocity, rest_radius, G, _exponential_excess, alpha_fung
-    )
-
-
-def _second_invariant_excess(stretch: Scalar, mooney: Scalar) -> Scalar:
-    return mooney * (stretch * stretch - 1.0)
-
-
-def mooney_rivlin(
-    radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, mooney: Scalar
-) -> Scalars:
+def mooney_rivlin(stretch: Scalar, mooney: Scalar) -> Scalar:
     """``W = G/2 ((1 - m) (I_1 - 3) + m (I_2 - 3))`` (Mooney 1940, Rivlin 1948): ``f = 1 + m (b^2 -
     1)``.
     """
-    return integrate_over_gel(
-        radius, velocity, rest_radius, G, _second_invariant_excess, mooney
-    )
+    return mooney * (stretch * stretch - 1.0)
 
 
-def _cubic_excess(stretch: Scalar, cubic: Scalar) -> Scalar:
+def cubic_stiffening(stretch: Scalar, cubic: Scalar) -> Scalar:
+    """The cubic term of Yeoh (1993), ``G c/6 (I_1 - 3)^3``: ``f = 1 + c x^2``."""
     excess = _find_invariant(stretch)
     return cubic * excess * excess
 
 
-def cubic_stiffening(
-    radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, cubic: Scalar
-) -> Scalars:
-    """The cubic term of Yeoh (1993), ``G c/6 (I_1 - 3)^3``: ``f = 1 + c x^2``."""
-    return integrate_over_gel(radius, velocity, rest_radius, G, _cubic_excess, cubic)
-
-
-def _gent_excess(stretch: Scalar, gent: Scalar) -> Scalar:
-    used = gent * _find_invariant(stretch)
-    locked = real(used) >= 1.0
-    return where(locked, inf, used / where(locked, 1.0, 1.0 - used))
-
-
-def gent_elastic(
-    radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, gent: Scalar
-) -> Scalars:
+def gent_elastic(stretch: Scalar, gent: Scalar) -> Scalar:
     """``W = -G J/2 ln(1 - (I_1 - 3)/J)`` (Gent 1996): ``f = 1/(1 - x/J)``.
 
     The parameter is ``1/J``. Where the chains lock, in tension or compression, the stress is
     infinite: a bubble that gets there fails with a status.
     """
-    return integrate_over_gel(radius, velocity, rest_radius, G, _gent_excess, gent)
+    used = gent * _find_invariant(stretch)
+    locked = real(used) >= 1.0
+    return where(locked, inf, used / where(locked, 1.0, 1.0 - used))
 
 
 def _langevin_modulus(used: Scalar) -> Scalar:
@@ -185,25 +149,22 @@ def _langevin_modulus(used: Scalar) -> Scalar:
     return (1.0 - used * (6.0 + used * (1.0 - 2.0 * used)) / 15.0) / (1.0 - used)
 
 
-def _chain_excess(stretch: Scalar, chain: Scalar) -> Scalar:
+def arruda_boyce(stretch: Scalar, chain: Scalar) -> Scalar:
+    """Eight chains of ``N`` segments (Arruda & Boyce 1993): ``f`` is ``L^-1(y)/(3 y)`` at ``y^2 =
+    I_1/(3 N)`` over its value at rest, so that ``G`` is the modulus at small strain.
+
+    The parameter is ``1/N``; where the chains lock, as of :func:`gent_elastic`.
+    """
     used = chain * (1.0 + _find_invariant(stretch) / 3.0)
     locked = real(used) >= 1.0
     stiffness = _langevin_modulus(where(locked, 0.0, used)) / _langevin_modulus(chain)
     return where(locked, inf, stiffness - 1.0)
 
 
-def arruda_boyce(
-    radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, chain: Scalar
-) -> Scalars:
-    """Eight chains of ``N`` segments (Arruda & Boyce 1993): ``f`` is ``L^-1(y)/(3 y)`` at ``y^2 =
-    I_1/(3 N)`` over its value at rest, so that ``G`` is the modulus at small strain.
-
-    The parameter is ``1/N``; where the chains lock, as of :func:`gent_elastic`.
+def ogden_elastic(stretch: Scalar, ogden: Scalar) -> Scalar:
+    """One term of Ogden (1972), ``W = 2 G/a^2 (l_1^a + l_2^a + l_3^a - 3)``; the parameter is ``a -
+    2``.
     """
-    return integrate_over_gel(radius, velocity, rest_radius, G, _chain_excess, chain)
-
-
-def _ogden_excess(stretch: Scalar, ogden: Scalar) -> Scalar:
     exponent = 2.0 + ogden
     strain = log(stretch)
     still = real(strain) == 0.0
@@ -217,26 +178,24 @@ def _ogden_excess(stretch: Scalar, ogden: Scalar) -> Scalar:
     return where(ogden == 0.0, 0.0, 2.0 * force / (inverse + inverse**4) - 1.0)
 
 
-def ogden_elastic(
-    radius: Scalar, velocity: Scalar, rest_radius: Scalar, G: Scalar, ogden: Scalar
-) -> Scalars:
-    """One term of Ogden (1972), ``W = 2 G/a^2 (l_1^a + l_2^a + l_3^a - 3)``; the parameter is ``a -
-    2``.
-    """
-    return integrate_over_gel(radius, velocity, rest_radius, G, _ogden_excess, ogden)
-
-
+EXCESSES = {
+    "alpha_fung2": second_order_fung,
+    "alpha_fung": exponential_fung,
+    "mooney": mooney_rivlin,
+    "cubic": cubic_stiffening,
+    "gent": gent_elastic,
+    "chain": arruda_boyce,
+    "ogden": ogden_elastic,
+}
+"""Parameter -> the modulus that its law has over the neo-Hookean one, as a function of the hoop stretch."""
 NEO_HOOKEAN = StressTerm(neo_hookean, switch="G", odd=())
 ELASTIC = (
     NEO_HOOKEAN,
     StressTerm(stiffening, switch="alpha", unbounded=_has_no_bound, odd=()),
     StressTerm(linear_elastic, switch="G_lin", odd=()),
-    StressTerm(second_order_fung, switch="alpha_fung2", odd=()),
-    StressTerm(exponential_fung, switch="alpha_fung", odd=()),
-    StressTerm(mooney_rivlin, switch="mooney", odd=()),
-    StressTerm(cubic_stiffening, switch="cubic", odd=()),
-    StressTerm(gent_elastic, switch="gent", odd=()),
-    StressTerm(arruda_boyce, switch="chain", odd=()),
-    StressTerm(ogden_elastic, switch="ogden", odd=()),
+    *(
+        StressTerm(integrate_over_gel, switch, excess=excess, odd=())
+        for switch, excess in EXCESSES.items()
+    ),
 )
 """The terms of these laws."""

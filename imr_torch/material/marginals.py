@@ -7,12 +7,11 @@ to scale, so nothing is lost where nothing is truncated.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Protocol
 
-import scipy  # whose parts are imported when they are used; `stats` takes long
 import torch
 from torch import Tensor
 from torch.special import ndtri
@@ -181,6 +180,8 @@ class LogNormal:
     [2500, 5000, 10000]
     """
 
+    lower = 0.0
+    upper = math.inf
     median: float
     factor: float
 
@@ -195,16 +196,6 @@ class LogNormal:
                 "'within twofold')."
             )
 
-    @property
-    def lower(self) -> float:
-        """See :class:`Marginal`."""
-        return 0.0
-
-    @property
-    def upper(self) -> float:
-        """See :class:`Marginal`."""
-        return math.inf
-
     def to_physical(self, z: Values) -> Values:
         """See :class:`Marginal`."""
         return self.median * torch.exp(math.log(self.factor) * z)
@@ -218,104 +209,10 @@ class LogNormal:
         return math.log(self.median * math.log(self.factor)) + math.log(self.factor) * z
 
 
-@dataclass(frozen=True)
-class Quantile:
-    """Any continuous distribution of ``scipy.stats``, through its quantile function: ``theta =
-    F^-1(Phi(z))``.
-
-    Quantiles are found numerically, each from its nearer tail, so both tails keep their digits, and
-    are constant beyond ten standard deviations (a probability of 1e-23); gradients with respect to
-    ``z`` are those of the first order.
-
-    Args:
-        family: name in ``scipy.stats``, such as ``"gamma"``.
-        arguments: its shape parameters, ``loc`` and ``scale``, SI.
-
-    >>> import torch
-    >>> from imr_torch.material import Quantile
-    >>> prior = Quantile("gamma", {"a": 2.0, "scale": 1e3})
-    >>> [round(x) for x in prior.to_physical(torch.tensor([-1.0, 0.0, 1.0], dtype=torch.float64)).tolist()]
-    [708, 1678, 3300]
-    """
-
-    FAR: ClassVar[float] = 10.0
-    """Standard deviations up to which SciPy's quantiles of all families were seen to be right."""
-
-    family: str
-    arguments: Mapping[str, float]
-
-    def __post_init__(self) -> None:
-        kind = getattr(scipy.stats, self.family, None)
-        if not isinstance(kind, scipy.stats.rv_continuous):
-            raise InputDataError(
-                f"Quantile: scipy.stats has no continuous distribution named {self.family!r}."
-            )
-        try:
-            usable = math.isfinite(self._frozen_law.median())
-        except TypeError as error:
-            raise InputDataError(
-                f"Quantile: scipy.stats.{self.family} with {dict(self.arguments)}: {error}."
-            ) from None
-        if not usable:
-            raise InputDataError(
-                f"Quantile: scipy.stats.{self.family} has no median with {dict(self.arguments)}."
-            )
-
-    @cached_property
-    def _frozen_law(self) -> Any:
-        return getattr(scipy.stats, self.family)(**self.arguments)
-
-    @property
-    def lower(self) -> float:
-        """See :class:`Marginal`."""
-        return float(self._frozen_law.support()[0])
-
-    @property
-    def upper(self) -> float:
-        """See :class:`Marginal`."""
-        return float(self._frozen_law.support()[1])
-
-    def to_physical(self, z: Values) -> Values:
-        """See :class:`Marginal`."""
-        z = z.clamp(-self.FAR, self.FAR)
-        # a value that rounds to a bound
-        slope = self.log_slope(z.detach()).exp().nan_to_num(posinf=0.0)
-        return self._find_quantile(z.detach()) + slope * (z - z.detach())
-
-    def to_control(self, value: Values) -> Values:
-        """See :class:`Marginal`."""
-        at = value.detach().cpu().numpy()
-        return _find_score(
-            *(value.new_tensor(f(at)) for f in (self._frozen_law.cdf, self._frozen_law.sf))
-        )
-
-    def log_slope(self, z: Values) -> Values:
-        """See :class:`Marginal`."""
-        z = z.clamp(-self.FAR, self.FAR)
-        return _normal_log_pdf(z) - z.new_tensor(
-            self._frozen_law.logpdf(self._find_quantile(z).cpu().numpy())
-        )
-
-    def _find_quantile(self, z: Tensor) -> Tensor:
-        tail = ndtr(-z.abs()).cpu().numpy()
-        return torch.where(
-            z < 0.0,
-            z.new_tensor(self._frozen_law.ppf(tail)),
-            z.new_tensor(self._frozen_law.isf(tail)),
-        )
-
-
-MARGINALS = {kind.__name__: kind for kind in (TruncatedNormal, LogNormal, Quantile)}
-
-
-def make_marginal(kind: str, *numbers: Any) -> Marginal:
-    """A prior by its kind and its numbers, as the tables of the package give it.
-
-    >>> from imr_torch.material.marginals import make_marginal
-    >>> make_marginal("LogNormal", 5e3, 5.0)
-    LogNormal(median=5000.0, factor=5.0)
-    """
-    return MARGINALS[kind](*numbers)
+MARGINALS: dict[str, Callable[..., Marginal]] = {
+    "TruncatedNormal": TruncatedNormal,
+    "LogNormal": LogNormal,
+}
 
 
 def marginal_to_dict(marginal: Marginal) -> dict[str, Any]:

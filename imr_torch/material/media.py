@@ -112,24 +112,7 @@ class NamedMedium:
         }
 
 
-def _water_with_salt(salt: float) -> dict[str, float]:
-    """Water at room temperature with grams of salt per kilogram, as sea water of that salinity."""
-    return {
-        "density": water_density(ROOM) + 0.75 * salt,
-        "sound_speed": water_sound_speed(ROOM) + 1.07 * salt,
-        "surface_tension": water_surface_tension(ROOM) + 2.8e-5 * salt,
-    }
-
-
-NAMED = {
-    name: NamedMedium(
-        name,
-        row["source"],
-        row["values"] if "values" in row else _water_with_salt(row["salt"]),
-        row.get("sds", {}),
-    )
-    for name, row in read_table("media").items()
-}
+NAMED = {name: NamedMedium(name, **row) for name, row in read_table("media").items()}
 """Name -> medium."""
 
 

@@ -112,8 +112,9 @@ class ModelBelief:
         kind = material(self.model)
         if not set(kind.known) <= set(self.known) <= set(kind.names):
             raise InputDataError(
-                f"Model {self.model!r} needs known {list(kind.known) or 'nothing'} and may have "
-                f"others of {list(kind.names)}; got {list(self.known) or 'nothing'}."
+                f"Model {self.model!r} takes {list(kind.known)} as known and may take others of "
+                f"{list(kind.names)}; got {list(self.known)}. Give their values in SI units in "
+                "`known`."
             )
         for name, value in self.known.items():
             PARAMETERS.check(name, torch.tensor(value))

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from imr_torch.errors import InputDataError
 from imr_torch.files import Document, read_table
-from imr_torch.material.marginals import Marginal, make_marginal
+from imr_torch.material.marginals import MARGINALS, Marginal
 from imr_torch.types import BatchParameters, BroadcastValues
 from imr_torch.units import Surroundings
 
@@ -236,37 +236,17 @@ class ParameterVector:
             )
 
 
-_QUOTED: dict[Dimension, tuple[str, float, str]] = {
-    "pressure": ("Pa", 1e-3, "kPa"),
-    "viscosity": ("Pa s", 1.0, ""),
-    "time": ("s", 1e6, "us"),
-    "rate": ("1/s", 1e-3, "1/ms"),
-    "length": ("m", 1e6, "um"),
-    "drag": ("Pa s/m^2", 1e-6, "MPa s/m^2"),
-    "ratio": ("1", 1.0, ""),
-    "none": ("1", 1.0, ""),
-}
-"""Dimension -> SI unit, and the factor to the unit in which people quote it."""
-
-
 def _make_entry(name: str, row: Document) -> Parameter:
     """An entry by its row of the table, with the units of its dimension."""
     row = {"dimension": "none", "neutral": 0.0, **row}
-    unit, scale, quoted = _QUOTED[row["dimension"]]
     lower, upper = row.pop("bounds")
-    prior = make_marginal(*row.pop("prior")) if "prior" in row else None
-    return Parameter(
-        name,
-        unit=unit,
-        lower=lower,
-        upper=upper,
-        display_scale=scale,
-        display_unit=quoted,
-        prior=prior,
-        **row,
-    )
+    kind, *numbers = row.pop("prior", (None,))
+    prior = MARGINALS[kind](*numbers) if kind else None
+    units = _DIMENSIONS[row["dimension"]]
+    return Parameter(name, lower=lower, upper=upper, prior=prior, **row, **units)
 
 
+_DIMENSIONS = read_table("dimensions")
 PARAMETERS = ParameterVector()
 """The one parameter vector, with every registered parameter."""
 

@@ -74,19 +74,14 @@ class Stress(NamedTuple):
 
     >>> import torch
     >>> from imr_torch.material import Stress
-    >>> spring = Stress(torch.tensor(-0.1), torch.tensor(0.2), torch.tensor(0.0))
-    >>> damper = Stress(torch.tensor(0.3), torch.tensor(0.0), torch.tensor(-0.4))
-    >>> round(float((spring + damper).value), 3)
-    0.2
+    >>> damper = Stress(torch.tensor(-0.3), torch.tensor(0.0), torch.tensor(-0.4))
+    >>> round(float(damper.rate + damper.acceleration * 0.5), 3)  # where U' is .5
+    -0.2
     """
 
     value: Inexact[Tensor, "*batch"]
     rate: Inexact[Tensor, "*batch"]
     acceleration: Inexact[Tensor, "*batch"]
-
-    def __add__(self, other: "Stress") -> "Stress":  # pyright: ignore[reportIncompatibleMethodOverride]
-        """The sum of the stresses, not the longer tuple."""
-        return Stress(*(own + more for own, more in zip(self, other, strict=True)))
 
 
 @dataclass(frozen=True)
@@ -117,6 +112,9 @@ class StressTerm:
             bound, which excuses a solve that fails.
         shells: of a law that is summed over shells of the gel, see :func:`shell_rule`; it takes shell
             and weight before the memory, which is that of one shell.
+        excess: what a law integrates over the gel, a function of the hoop stretch and of the
+            parameters beside ``G``; the law takes it after ``rest_radius``
+            (:func:`imr_torch.material.elastic.integrate_over_gel`).
         odd: parameters that change their sign where time runs backwards; None where that is not the
             law in reversed time.
         names: parameters that the law reads, from its signature.
@@ -135,11 +133,15 @@ class StressTerm:
     fastest: Law | None = None
     unbounded: Law | None = None
     shells: tuple[tuple[float, float], ...] = ()
+    excess: Law | None = None
     odd: tuple[str, ...] | None = None
     names: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
         arguments = tuple(inspect.signature(self.law).parameters)
+        if self.excess is not None:
+            own = tuple(inspect.signature(self.excess).parameters)
+            arguments = (*arguments[:3], "G", *own[1:])
         first = 5 + self.states // len(self.shells) if self.shells else 3 + self.states
         if (
             arguments[:3] != ("radius", "velocity", "rest_radius")
@@ -153,16 +155,21 @@ class StressTerm:
         object.__setattr__(self, "names", arguments[first:])
 
     @property
+    def _given(self) -> tuple[Law, ...]:
+        """What the law takes before its memory."""
+        return () if self.excess is None else (self.excess,)
+
+    @property
     def name(self) -> str:
-        """The law's name."""
-        return self.law.__qualname__
+        """That of the law, or of what it integrates."""
+        return (self.excess or self.law).__qualname__
 
     @cached_property
     def compilable(self) -> bool:
         """Whether the law, which is evaluated at every step, is written with
         :mod:`imr_torch.elementary`.
         """
-        return obstacle_of(self.law) is None
+        return all(obstacle_of(law) is None for law in (self.law, *self._given))
 
     def memory_start(
         self,
@@ -202,7 +209,12 @@ class StressTerm:
             rule = radius.new_tensor(self.shells).T.reshape(2, -1, *[1] * (memory.ndim - 1))
             states = (*rule, *memory.unflatten(0, (len(self.shells), -1)).unbind(1))
         parts = self.law(
-            radius, velocity, rest_radius, *states, *self._read_parameters(theta)
+            radius,
+            velocity,
+            rest_radius,
+            *self._given,
+            *states,
+            *self._read_parameters(theta),
         )
         tensors = (x if isinstance(x, Tensor) else radius.new_tensor(x) for x in parts)
         parts = torch.broadcast_tensors(*tensors)
@@ -235,16 +247,16 @@ def gel_response(
     (-0.105, (0, 1))
     """
     zero = torch.zeros_like(radius)
-    total = Stress(zero, zero, zero)
+    total = (zero, zero, zero)
     rates = []
     start = 0
     for term in terms:
         states = None if memory is None else memory[start : start + term.states]
         start += term.states
         parts = term.evaluate_law(radius, velocity, rest_radius, theta, states)
-        total = total + Stress(*parts[:3])
+        total = tuple(own + more for own, more in zip(total, parts[:3], strict=True))
         rates += parts[3:]
-    return total, torch.stack(rates) if rates else zero.new_zeros(0, *zero.shape)
+    return Stress(*total), torch.stack(rates) if rates else zero.new_zeros(0, *zero.shape)
 
 
 def derivatives(

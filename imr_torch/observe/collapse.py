@@ -11,10 +11,9 @@ collapse time is a formula; here the bubble is simulated (:mod:`imr_torch.observ
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -23,6 +22,7 @@ from scipy.special import ndtri, stdtrit
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
+from imr_torch.files import read_table
 from imr_torch.float64 import tensor
 from imr_torch.observe.nuisance import FLOOR, Nuisance
 from imr_torch.reading.load import SHOT_ARRAY, SHOT_COLUMNS, is_shot_file
@@ -36,6 +36,7 @@ from imr_torch.units import Surroundings
 RESOLUTION_S = 20e-9
 """Error of a collapse time that a file does not state: what Zhu et al. (2025) give for theirs."""
 
+_SHOTS = read_table("limits")["shots"]
 _ERRORS = {
     "collapse_time_sd_s": "collapse_time_sd_s",
     "rmax_sd_m": "max_radius_sd_m",
@@ -76,20 +77,9 @@ class CollapseShot:
     stated: Statement | None = None
 
     def __post_init__(self) -> None:
-        top = self.max_radius_m
-        time = self.collapse_time_s
-        for name, value, low, high, error, sd in (
-            ("rmax_m", top, 1e-6, 1e-2, "max_radius_sd_m", self.max_radius_sd_m),
-            ("stretch", self.stretch, 1.2, 100.0, "stretch_sd", self.stretch_sd),
-            (
-                "collapse_time_s",
-                time,
-                1e-8,
-                1e-2,
-                "collapse_time_sd_s",
-                self.collapse_time_sd_s,
-            ),
-        ):
+        for name, (stated, error, low, high) in _SHOTS.items():
+            value = getattr(self, stated)
+            sd = getattr(self, error)
             if not low <= value <= high:
                 raise InputDataError(
                     f"{self.where}: {name} is {value:g}; expected {low:g} to {high:g}, in SI units."
@@ -144,18 +134,18 @@ class CollapseTime:
     [0.91]
     """
 
-    has_gaps: ClassVar[bool] = False
-    exposure: ClassVar[float] = 0.0
-    repeats: ClassVar[int] = 1
-    noise_factor: ClassVar[float] = 1.0
-    noise_factor_sd: ClassVar[float] = 0.0
-    weight: ClassVar[float] = 1.0
+    has_gaps = False
+    exposure = 0.0
+    repeats = 1
+    noise_factor = 1.0
+    noise_factor_sd = 0.0
+    weight = 1.0
 
     label: str
     design: tuple[float, float]
     time: float
     sd: float
-    nuisance: Nuisance = field(default_factory=Nuisance)
+    nuisance: Nuisance = Nuisance()
     scatter: float = 0.0
 
     def __post_init__(self) -> None:

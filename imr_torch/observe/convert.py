@@ -18,6 +18,7 @@ from typing import Any
 import torch
 
 from imr_torch.errors import InputDataError
+from imr_torch.html import render
 from imr_torch.observe.experiments import Experiment
 from imr_torch.observe.landmarks import Landmarks
 from imr_torch.observe.nuisance import FLOOR, Nuisance
@@ -65,7 +66,18 @@ def to_experiment(
     (180.9, 0.2)
     """
     top = landmarks.max_radius_m
-    value, sd = rest_radius or _measured_rest_radius(trace, landmarks)
+    if rest_radius is None:
+        if landmarks.rest_radius_m is None or landmarks.rest_radius_sd_m is None:
+            raise InputDataError(
+                f"{trace.where} has no rebound and no given "
+                "R_inf, so the rest radius cannot be measured from it. Give it: rest_radius=(value, "
+                "sd) of R_inf/Rmax (on the command line --rest-radius 0.2:0.1), or Rinf_m in the "
+                "JSON beside the file."
+            )
+        value = landmarks.rest_radius_m / top
+        sd = landmarks.rest_radius_sd_m / top
+    else:
+        value, sd = rest_radius
     if not 0.0 < value < 1.0:
         remedy = (
             "Give another assumed rest radius."
@@ -82,14 +94,16 @@ def to_experiment(
     if growth is not None:
         below = times[~kept & (trace.radius_m < growth * top)]
         kept = times > (below[-1] if len(below) else -torch.inf)
+    errors = {
+        "max_radius": landmarks.max_radius_sd_m / top,
+        "time_zero": landmarks.time_of_max_sd_s / scale,
+        "rest_radius": sd / value,
+    }
     nuisance = Nuisance(
-        max_radius=min(
-            math.hypot(landmarks.max_radius_sd_m / top, FLOOR.max_radius), widest
-        ),
-        time_zero=min(
-            math.hypot(landmarks.time_of_max_sd_s / scale, FLOOR.time_zero), widest
-        ),
-        rest_radius=min(math.hypot(sd / value, FLOOR.rest_radius), widest),
+        **{
+            name: min(math.hypot(error, getattr(FLOOR, name)), widest)
+            for name, error in errors.items()
+        }
     )
     design = (surroundings.weber(top), value)
     exposure = (trace.given.exposure_s or 0.0) / scale
@@ -103,19 +117,6 @@ def to_experiment(
     )
 
 
-def _measured_rest_radius(trace: RadiusTrace, landmarks: Landmarks) -> tuple[float, float]:
-    """R_inf/Rmax and its standard deviation."""
-    if landmarks.rest_radius_m is None or landmarks.rest_radius_sd_m is None:
-        raise InputDataError(
-            f"{trace.where} has no rebound and no given "
-            "R_inf, so the rest radius cannot be measured from it. Give it: rest_radius=(value, "
-            "sd) of R_inf/Rmax (on the command line --rest-radius 0.2:0.1), or Rinf_m in the JSON "
-            "beside the file."
-        )
-    top = landmarks.max_radius_m
-    return landmarks.rest_radius_m / top, landmarks.rest_radius_sd_m / top
-
-
 @dataclass(frozen=True)
 class Unused:
     """Frames side by side that were not fitted.
@@ -126,10 +127,6 @@ class Unused:
         start_s: time of the first, s, on the time axis of the record.
         end_s: time of the last, s.
         reason: why.
-
-    >>> from imr_torch.observe.convert import Unused
-    >>> str(Unused(0, 2, 0.0, 2e-6, "before the maximum radius"))
-    'frames 0 to 2 (0 to 2 us): before the maximum radius'
     """
 
     first: int
@@ -137,14 +134,6 @@ class Unused:
     start_s: float
     end_s: float
     reason: str
-
-    def __str__(self) -> str:
-        if self.first == self.last:
-            return f"frame {self.first} ({1e6 * self.start_s:.4g} us): {self.reason}"
-        return (
-            f"frames {self.first} to {self.last} ({1e6 * self.start_s:.4g} to "
-            f"{1e6 * self.end_s:.4g} us): {self.reason}"
-        )
 
 
 @dataclass(frozen=True)
@@ -180,10 +169,7 @@ class FrameUse:
 
     def lines(self) -> list[str]:
         """The frames in words: how many were fitted, then every stretch that was not."""
-        first = (
-            f"{self.experiment_id}: {sum(self.fitted)} of {len(self.fitted)} frames fitted"
-        )
-        return [first, *(f"  {stretch}" for stretch in self.unused)]
+        return render("frames.txt", use=self).splitlines()
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready values."""
@@ -241,7 +227,7 @@ def load_set(
     path: str | Path,
     *,
     nuisance: Nuisance = FLOOR,
-    surroundings: Surroundings | None = None,
+    surroundings: Surroundings = Surroundings(),
 ) -> list[Experiment]:
     """Experiments of a set, one a design.
 
@@ -267,34 +253,30 @@ def load_set(
     >>> experiment.label, experiment.repeats
     ('design 1', 2)
     """
-    outer = surroundings or Surroundings()
     arrays = read_arrays(path, _SHAPES)
-    if arrays["we"].ndim != 1 or not len(arrays["we"]):
+    all_times, all_radii, webers, rests = arrays.values()
+    if webers.ndim != 1 or not len(webers):
         raise InputDataError(
-            f"{path}: we has shape {arrays['we'].shape}; expected a Weber number a design, of one "
-            "at least."
+            f"{path}: we has shape {webers.shape}; expected a Weber number a design, of one at least."
         )
     for name, dimensions in _SHAPES.items():
-        if (
-            arrays[name].ndim != dimensions
-            or arrays[name].shape[0] != arrays["we"].shape[0]
-        ):
+        array = arrays[name]
+        if array.ndim != dimensions or len(array) != len(webers):
             raise InputDataError(
-                f"{path}: {name} has shape {arrays[name].shape}; expected {dimensions} dimensions, "
-                f"the first of {arrays['we'].shape[0]} designs."
+                f"{path}: {name} has shape {array.shape}; expected {dimensions} dimensions, the "
+                f"first of {len(webers)} designs."
             )
-    if arrays["radius_m"].shape[2] != arrays["time_s"].shape[1]:
+    if all_radii.shape[2] != all_times.shape[1]:
         raise InputDataError(
-            f"{path}: radius_m has {arrays['radius_m'].shape[2]} frames, time_s "
-            f"{arrays['time_s'].shape[1]}."
+            f"{path}: radius_m has {all_radii.shape[2]} frames, time_s {all_times.shape[1]}."
         )
     experiments = []
-    for i, (weber, rest) in enumerate(zip(arrays["we"], arrays["rinf_star"], strict=True)):
+    for i, (weber, rest) in enumerate(zip(webers.tolist(), rests.tolist(), strict=True)):
         label = f"design {i + 1}"
         where = f"{path}: {label}"
-        size = outer.max_radius(float(weber))
-        radius = torch.as_tensor(arrays["radius_m"][i]) / size
-        times = torch.as_tensor(arrays["time_s"][i]) / outer.time_scale(size)
+        size = surroundings.max_radius(weber)
+        radius = torch.as_tensor(all_radii[i]) / size
+        times = torch.as_tensor(all_times[i]) / surroundings.time_scale(size)
         seen = torch.isfinite(radius).any(0) & torch.isfinite(times)
         if int(seen.sum()) < 2:
             raise InputDataError(
@@ -303,12 +285,11 @@ def load_set(
             )
         radius = radius[:, seen]
         radius = radius[torch.isfinite(radius).any(1)]
-        design = (float(weber), float(rest))
         try:
-            found = Experiment(label, design, times[seen], radius, nuisance)
+            found = Experiment(label, (weber, rest), times[seen], radius, nuisance)
         except InputDataError as error:
             raise InputDataError(f"{where}: {error}") from None
-        _check_units(where, found, size, outer.time_scale(size))
+        _check_units(where, found, size, surroundings.time_scale(size))
         remedy = "the Weber numbers, and that time zero is the maximum"
         check_experiment(found, where, remedy=remedy)
         experiments.append(found)

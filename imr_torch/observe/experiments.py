@@ -8,7 +8,7 @@ of them to a common number of frames, so that any number of experiments is one t
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -23,6 +23,8 @@ from imr_torch.observe.noise import Noise, NoiseLaws, frame_bends, previous
 from imr_torch.observe.nuisance import NUISANCES, Nuisance
 from imr_torch.simulate import check_designs
 from imr_torch.types import BatchFrames, ExperimentFrames, FrameMask, Frames, FrameValues
+
+_pad = partial(pad_sequence, batch_first=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +58,7 @@ class Experiment:
     design: tuple[float, float]
     times: FrameValues
     radius: Float[Tensor, "repeats frames"]
-    nuisance: Nuisance = field(default_factory=Nuisance)
+    nuisance: Nuisance = Nuisance()
     exposure: float = 0.0
     noise_factor: float = 1.0
     noise_factor_sd: float = 0.0
@@ -206,7 +208,7 @@ class ExperimentBatch:
     """
 
     experiments: tuple[Experiment | CollapseTime, ...]
-    noise: Noise = field(default_factory=Noise)
+    noise: Noise = Noise()
     between: Mapping[str, float] = field(default_factory=dict)
     noise_laws: NoiseLaws | None = None
 
@@ -239,7 +241,7 @@ class ExperimentBatch:
         return torch.tensor([isinstance(e, CollapseTime) for e in self.experiments])
 
     @cached_property
-    def _collapse_sds(self) -> Float[Tensor, "experiments 1"]:
+    def _collapse_sds(self) -> Tensor:
         """Errors of collapse times; 1 for curves."""
         return tensor([[getattr(e, "whole_sd", 1.0)] for e in self.experiments])
 
@@ -314,32 +316,30 @@ class ExperimentBatch:
     def mask(self) -> FrameMask:
         """Frames that exist."""
         kept = [torch.ones_like(e.times, dtype=torch.bool) for e in self.experiments]
-        return pad_sequence(kept, batch_first=True)
+        return _pad(kept)
 
     @cached_property
     def times(self) -> ExperimentFrames:
         """``E x T`` tensor, dimensionless; padding continues each row, so that rows increase."""
-        times = pad_sequence([e.times for e in self.experiments], batch_first=True)
+        times = _pad([e.times for e in self.experiments])
         tail = 1e-3 * torch.cumsum((~self.mask).to(times), dim=1)
         return torch.where(self.mask, times, times.amax(1, keepdim=True) + tail)
 
     @cached_property
     def mean(self) -> ExperimentFrames:
         """Mean over repeats; 0 in the padding."""
-        return pad_sequence([e.mean for e in self.experiments], batch_first=True)
+        return _pad([e.mean for e in self.experiments])
 
     @cached_property
     def bends(self) -> ExperimentFrames:
         """How much the measured curves bend at each frame; 0 in the padding."""
-        return pad_sequence(
-            [frame_bends(e.mean) for e in self.experiments], batch_first=True
-        )
+        return _pad([frame_bends(e.mean) for e in self.experiments])
 
     @cached_property
     def counts(self) -> ExperimentFrames:
         """Repeats behind each frame of the mean; 1 in the padding."""
         counts = [e.counts.to(torch.float64) for e in self.experiments]
-        return pad_sequence(counts, batch_first=True, padding_value=1.0)
+        return _pad(counts, padding_value=1.0)
 
     @cached_property
     def innovations(
@@ -356,9 +356,7 @@ class ExperimentBatch:
         deviations = [(e.radius - e.mean).nan_to_num() for e in self.experiments]
         squares = [x.square().sum(0) for x in deviations]
         products = [(x * previous(x)).sum(0) for x in deviations]
-        return pad_sequence(squares, batch_first=True), pad_sequence(
-            products, batch_first=True
-        )
+        return _pad(squares), _pad(products)
 
     @cached_property
     def nuisance_sds(self) -> Float[Tensor, "experiments nuisances"]:

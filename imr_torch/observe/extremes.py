@@ -8,81 +8,16 @@ resolves better than a frame.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 
+from imr_torch.files import read_table
 from imr_torch.reading.traces import Given, RadiusTrace
 from imr_torch.types import FrameValues
 
-
-@dataclass(frozen=True)
-class LandmarkRules:
-    """How landmarks are found; every default was chosen on simulated and measured curves.
-
-    Args:
-        tail: share of the last frames whose mean is the rest radius, if the bubble has settled.
-        settled_below: the bubble has settled if std/mean of these frames is below this, over half a
-            cycle or more.
-        noisy_tail: a tail that scatters by no more than this times the noise of its frames has
-            settled too.
-        peak_windows: frames above these shares of the largest one are fitted for the maximum; what
-            the second window changes is an error.
-        neighbour: share of the largest frame that a frame beside it must have.
-        largest_excess: of a fitted maximum over the largest frame; beyond, the fit is not used.
-        quartic_from: frames from which on a polynomial of degree 4 is fitted.
-        exposure: of the time between frames, by which the time of the maximum is blurred.
-        noise_range: least and largest noise of a frame, of the largest radius.
-        few_frames_noise: noise of the frames of a record too short to show it.
-        prior_weight: frames that this noise counts for in the variance of a fit.
-        reversal: of the noise of a frame, by which a curve must turn.
-        local_reversal: the same of the noise of the frames around: noise that grows with time
-            would make cycles of its own in the tail of a record.
-        local_frames: frames around.
-        start_windows: as ``peak_windows``, for a record that begins near its maximum.
-        start_frames: fewest frames for that.
-        start_reach: frames before the record that the maximum may lie.
-        edge_sd: least relative standard deviation of a maximum that is the largest frame.
-        ringing_power: power of (smallest x largest radius of a cycle / mean^2) that is, times the
-            mean, the rest radius of a bubble that still rings; fitted to 1200 simulated bubbles
-            with heat and vapour transport (We 100-1500, R_inf* .08-.45, G .1-30 kPa, mu .003-.2
-            Pa s).
-        ringing_sd: largest relative standard deviation that the ringing adds: that of this fit.
-        ringing_floor: least relative standard deviation of a rest radius from a ringing bubble.
-        partial_floor: the same from less than a cycle.
-        stated_floor: the same of a stated rest radius.
-
-    >>> from imr_torch.observe.extremes import RULES
-    >>> RULES.settled_below
-    0.03
-    """
-
-    tail: float = 0.15
-    settled_below: float = 0.03
-    noisy_tail: float = 1.2
-    peak_windows: tuple[float, float] = (0.85, 0.95)
-    neighbour: float = 0.75
-    largest_excess: float = 0.04
-    quartic_from: int = 9
-    exposure: float = 0.2
-    noise_range: tuple[float, float] = (0.002, 0.02)
-    few_frames_noise: float = 0.005
-    prior_weight: float = 3.0
-    reversal: float = 6.0
-    local_reversal: float = 4.5
-    local_frames: int = 25
-    start_windows: tuple[float, float] = (0.8, 0.9)
-    start_frames: int = 8
-    start_reach: float = 2.0
-    edge_sd: float = 0.01
-    ringing_power: float = 2.0 / 3.0
-    ringing_sd: float = 0.2
-    ringing_floor: float = 0.10
-    partial_floor: float = 0.30
-    stated_floor: float = 0.01
-
-
-RULES = LandmarkRules()
-"""The rules of :func:`find_landmarks`."""
+RULES = SimpleNamespace(**read_table("landmarks"))
+"""How landmarks are found (``data/landmarks.toml``)."""
 
 
 def frame_roughness(radius: np.ndarray) -> float:

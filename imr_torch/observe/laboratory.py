@@ -44,11 +44,11 @@ class SimulatedLaboratory:
 
     simulator: Simulator
     truth: Float[Tensor, "parameters"]
-    noise: Noise = field(default_factory=Noise)
+    noise: Noise = Noise()
     repeats: int = 100
     times: FrameValues = field(default_factory=lambda: linspace(0.0, 4.0, 81))
     scatter: tuple[float, float] = (0.0, 0.0)
-    nuisance: Nuisance = field(default_factory=Nuisance)
+    nuisance: Nuisance = Nuisance()
 
     def __post_init__(self) -> None:
         check_at_least(self, 1, "repeats")

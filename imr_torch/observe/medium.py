@@ -17,10 +17,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from imr_torch.errors import InputDataError
+from imr_torch.html import render
 from imr_torch.material import Belief, Marginal, ModelBelief, TruncatedNormal
 from imr_torch.material.media import named_medium
 from imr_torch.material.model_belief import add_parameters
-from imr_torch.reading.statement import PROPERTIES, Statement
+from imr_torch.reading.statement import PROPERTIES, Entry, Statement
 from imr_torch.simulate import Simulator
 from imr_torch.simulate.conditions import saturation_pressure
 from imr_torch.simulate.setting import OF_MEDIUM
@@ -49,7 +50,7 @@ class GelMedium:
     Medium: density 1125 +- 11 kg/m^3 (--medium); pressure 1.01
     """
 
-    surroundings: Surroundings = field(default_factory=Surroundings)
+    surroundings: Surroundings = Surroundings()
     sds: Mapping[str, float] = field(default_factory=dict)
     sources: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
@@ -114,18 +115,7 @@ class GelMedium:
         """What is inferred beside the gel since nobody stated it, in a sentence; empty where nothing
         is.
         """
-        values = [
-            f"{label(name)} ({self.value(name)})"
-            for name in self.sds
-            if name in self.assumed
-        ]
-        if not values:
-            return ""
-        return (
-            f"Not stated, and inferred with the gel from a wide prior: {', '.join(values)}. Measure "
-            "it and state it (--medium density=VALUE:SD), or name your gel if it is a known one (--medium "
-            "gelatin_10, polyacrylamide_10, ...): intervals become narrower."
-        )
+        return render("medium_unstated.txt", medium=self, label=label)
 
     def value(self, name: str) -> str:
         """A field's value with its standard deviation and unit, as text."""
@@ -176,14 +166,7 @@ class GelMedium:
 
     def report(self) -> str:
         """All values with who stated them, sources of named media, and what was stated twice."""
-        said: dict[str, list[str]] = {}
-        for name in (*self.sources, *(name for name in _FIELDS if name in self.assumed)):
-            source = self.sources.get(name, "assumed")
-            said.setdefault(source, []).append(f"{label(name)} {self.value(name)}")
-        text = "; ".join(
-            f"{', '.join(values)} ({source})" for source, values in said.items()
-        )
-        return "\n".join([f"Medium: {text}.", *(f"  {note}" for note in self.notes)])
+        return render("medium.txt", medium=self, fields=_FIELDS, label=label).rstrip("\n")
 
     def to_dict(self) -> dict[str, dict[str, Any]]:
         """JSON-ready: field -> value, unit, standard deviation (None: exact), whether it was
@@ -234,7 +217,7 @@ def gel_medium(
     statements = [*([command] if command else []), *beside]
     stated = [s.values["temperature"][0] for s in statements if "temperature" in s.values]
     warm = next(iter(stated), base.temperature)
-    found: dict[str, tuple[float, float | None, str]] = {}
+    found: dict[str, Entry] = {}
     notes = []
     for statement in statements:
         if statement.name:
@@ -268,5 +251,5 @@ def gel_medium(
     )
 
 
-def _write_value(entry: tuple[float, float | None, str]) -> str:
+def _write_value(entry: Entry) -> str:
     return f"{entry[0]:.5g}" + ("" if entry[1] is None else f" +- {entry[1]:.2g}")

@@ -9,12 +9,14 @@ are refused; unusual ones are reported, since a diameter taken for a radius look
 """
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import NamedTuple
 
 import torch
-from torch import Tensor
 
 from imr_torch.errors import InputDataError
+from imr_torch.files import read_table
 from imr_torch.observe.experiments import Experiment
 from imr_torch.observe.extremes import RULES, collapse_time, frame_roughness
 from imr_torch.observe.landmarks import Landmarks
@@ -25,62 +27,19 @@ RAYLEIGH_TIME = 0.915
 """Dimensionless collapse time of an empty cavity."""
 
 
-@dataclass(frozen=True)
-class Range:
-    """Values that are possible, and those that are usual.
+class Range(NamedTuple):
+    """Values that are possible, and those that are usual, smallest and largest each; what is said of one."""
 
-    Args:
-        possible: smallest and largest value; others are refused.
-        usual: smallest and largest value; others are reported.
-    """
-
-    possible: tuple[float, float]
-    usual: tuple[float, float]
+    possible: Sequence[float]
+    usual: Sequence[float]
+    text: str = ""
 
 
-@dataclass(frozen=True)
-class Limits:
-    """What curves of bubbles look like.
-
-    Args:
-        weber: We.
-        rest_radius: R_inf/Rmax.
-        first_collapse: t* of the first collapse.
-        collapse_after_cut: earliest usual one of a record that begins after its maximum.
-        largest_radius: R/Rmax of the largest frame.
-        scatter: of neighbouring frames, of the range of all radii; noise alone has .25 and more.
-        stated_over_seen: stated maximum radius over that of the frames.
-        latest_maximum: latest t* of the largest frame.
-        frames_to_maximum: frames by which the maximum may lie before a record that begins near it.
-        duration: t* that a record without a collapse may last.
-        fewest_frames: from which on their scatter is looked at.
-        dense: t* between frames, within which no bubble falls by a quarter from its maximum.
-        least_change: of the radius, over the largest one.
-        longest_exposure: over the time between frames.
-
-    >>> from imr_torch.observe.plausibility import Limits
-    >>> Limits().first_collapse.usual
-    (0.55, 1.4)
-    """
-
-    weber: Range = Range((1.0, 1e5), (20.0, 3000.0))
-    rest_radius: Range = Range((0.02, 0.95), (0.07, 0.65))
-    first_collapse: Range = Range((0.25, 3.0), (0.55, 1.4))
-    collapse_after_cut: float = 0.7
-    largest_radius: Range = Range((0.7, 1.1), (0.85, 1.05))
-    scatter: Range = Range((0.0, 0.25), (0.0, 0.15))
-    stated_over_seen: Range = Range((0.75, 1.35), (0.95, 1.1))
-    latest_maximum: float = 0.45
-    frames_to_maximum: float = 2.5
-    duration: tuple[float, float] = (0.1, 3.0)
-    fewest_frames: int = 12
-    dense: float = 0.15
-    least_change: float = 0.01
-    longest_exposure: float = 1.05
-
-
-LIMITS = Limits()
-"""The limits of :func:`check_experiment` and :func:`check_maximum`."""
+_TABLE = read_table("limits")
+LIMITS = SimpleNamespace(**_TABLE)
+"""Limits of :func:`check_experiment` and :func:`check_maximum` (``data/limits.toml``)."""
+RANGES = {name: Range(**row) for name, row in _TABLE["ranges"].items()}
+"""The same of quantities of which some values are possible, and fewer usual."""
 
 
 def check_experiment(
@@ -130,31 +89,22 @@ def check_experiment(
             f"{where}: the largest frame is at t* = {at:.2f}; expected time zero at the maximum "
             f"radius, within {LIMITS.latest_maximum}.{advice}"
         )
-    found = [
-        (LIMITS.weber, experiment.design[0], "We is {:.4g}"),
-        (LIMITS.rest_radius, experiment.design[1], "R_inf/Rmax is {:.4g}"),
-        (LIMITS.largest_radius, largest, "the largest frame has R/Rmax = {:.3g}"),
-    ]
-    if first < math.inf:
-        cavity = f"that of an empty cavity in water at {RAYLEIGH_TIME}, in a gel of 70 kPa at 0.55"
-        collapses = LIMITS.first_collapse
-        if cut:
-            usual = (LIMITS.collapse_after_cut, collapses.usual[1])
-            collapses = replace(collapses, usual=usual)
-        found.append(
-            (collapses, first, f"the first collapse is at t* = {{:.3g}} ({cavity})")
-        )
+    weber, rest = experiment.design
+    found = {"weber": weber, "rest_radius": rest, "largest_radius": largest}
+    found |= {"first_collapse": first} if first < math.inf else {}
     cautions = []
-    for limits, value, text in found:
-        what = f"{where}: {text.format(value)}"
+    for name, value in found.items():
+        limits = RANGES[name]
+        low, high = limits.usual
+        if name == "first_collapse" and cut:
+            low = LIMITS.collapse_after_cut
+        what = f"{where}: {limits.text.format(value)}"
         if not limits.possible[0] <= value <= limits.possible[1]:
             raise InputDataError(
                 f"{what}; possible is {limits.possible[0]:g} to {limits.possible[1]:g}.{advice}"
             )
-        if not limits.usual[0] <= value <= limits.usual[1]:
-            cautions.append(
-                f"{what}; usual is {limits.usual[0]:g} to {limits.usual[1]:g}.{advice}"
-            )
+        if not low <= value <= high:
+            cautions.append(f"{what}; usual is {low:g} to {high:g}.{advice}")
     if first == math.inf and not LIMITS.duration[0] <= last <= LIMITS.duration[1]:
         text = f"{where}: the record lasts t* = {last:.3g} and holds no collapse."
         if last < LIMITS.duration[0]:
@@ -163,41 +113,26 @@ def check_experiment(
     scatter = frame_roughness(radius.numpy()) / max(
         float(radius.amax() - radius.amin()), 1e-300
     )
-    if len(radius) >= LIMITS.fewest_frames and scatter > LIMITS.scatter.usual[1]:
+    if len(radius) >= LIMITS.fewest_frames and scatter > RANGES["scatter"].usual[1]:
         what = (
             f"{where}: neighbouring frames scatter by {100.0 * scatter:.0f} % of the range of all "
             "radii, as noise alone does"
         )
-        if scatter > LIMITS.scatter.possible[1]:
+        if scatter > RANGES["scatter"].possible[1]:
             raise InputDataError(f"{what}; check which column holds the radii.")
         cautions.append(
-            f"{what}; usual is less than {100.0 * LIMITS.scatter.usual[1]:.0f} %."
+            f"{what}; usual is less than {100.0 * RANGES['scatter'].usual[1]:.0f} %."
         )
     return tuple(cautions)
 
 
-def _check_rise(where: str, radius: Tensor, largest: int) -> None:
-    """Refuse a record that ends at its maximum, or whose radius stays the same."""
-    if largest == len(radius) - 1:
-        raise InputDataError(
-            f"{where}: the largest radius, {1e6 * float(radius[largest]):.4g} um, is that of the "
-            "last frame, so the record holds no collapse. Check the units of the times, and that "
-            "radius and time are not exchanged."
-        )
-    if float(radius.amax() - radius.amin()) < LIMITS.least_change * float(radius[largest]):
-        raise InputDataError(
-            f"{where}: the radius stays within {100.0 * LIMITS.least_change:g} % of "
-            f"{1e6 * float(radius[largest]):.4g} um; expected "
-            "a bubble that collapses. Check which column holds the radii."
-        )
-
-
 def _check_stated(
-    where: str, trace: RadiusTrace, landmarks: Landmarks, surroundings: Surroundings
+    trace: RadiusTrace, landmarks: Landmarks, surroundings: Surroundings
 ) -> None:
     """Refuse standard deviations and a time of the maximum, stated by the laboratory, that cannot
     be meant.
     """
+    where = trace.where
     given = trace.given
     top = landmarks.max_radius_m
     for name, sd, largest in (
@@ -264,9 +199,19 @@ def check_maximum(
     time = trace.time_s
     radius = trace.radius_m
     k = int(radius.argmax())
-    _check_rise(where, radius, k)
-    _check_stated(where, trace, landmarks, surroundings)
     top = float(radius[k])
+    if k == len(radius) - 1:
+        raise InputDataError(
+            f"{where}: the largest radius, {1e6 * top:.4g} um, is that of the last frame, so the "
+            "record holds no collapse. Check the units of the times, and that radius and time are "
+            "not exchanged."
+        )
+    if float(radius.amax() - radius.amin()) < LIMITS.least_change * top:
+        raise InputDataError(
+            f"{where}: the radius stays within {100.0 * LIMITS.least_change:g} % of {1e6 * top:.4g} "
+            "um; expected a bubble that collapses. Check which column holds the radii."
+        )
+    _check_stated(trace, landmarks, surroundings)
     stated = trace.given.max_radius_m
     dense = 0 < k < len(radius) - 1 and float(
         time[k + 1] - time[k]
@@ -285,8 +230,8 @@ def check_maximum(
         f"{where}: the stated maximum radius is {1e6 * stated:.4g} um, and the largest of the "
         f"frames {1e6 * seen:.4g} um. Check Rmax_m (metres, a radius) and the units of the radii."
     )
-    low, high = LIMITS.stated_over_seen.possible
+    low, high = RANGES["stated_over_seen"].possible
     if not low <= ratio <= high:
         raise InputDataError(text)
-    low, high = LIMITS.stated_over_seen.usual
+    low, high = RANGES["stated_over_seen"].usual
     return () if low <= ratio <= high else (text,)

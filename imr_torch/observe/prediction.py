@@ -161,13 +161,6 @@ class _Truth:
     beyond: Tensor
     distortion: Distortion | None
 
-    def measured_times(self, times: Tensor) -> Tensor:
-        """Inverse of the step from measured to true times."""
-        slow = (
-            times if self.distortion is None else times / torch.exp(self.distortion.clock)
-        )
-        return slow * self.scale[..., 0] - self.offset[..., 0]
-
 
 def _find_truth(
     simulator: Simulator,
@@ -208,12 +201,12 @@ def _find_truth(
 
 def _simulate_bubbles(
     simulator: Simulator,
-    parameters: ParameterVectors,
-    designs: Float[Tensor, "*#batch experiments 2"],
-    times: Frames,
+    parameters: Tensor,
+    designs: Tensor,
+    times: Tensor,
     *,
     bundled: bool = False,
-) -> tuple[Frames, Frames]:
+) -> tuple[Tensor, Tensor]:
     """Radius and velocity of each gel in each experiment, dimensionless.
 
     Args:
@@ -310,7 +303,9 @@ def predict_collapse(
         )
     else:
         found = simulate(parameters, truth.designs, measured)
-    return truth.measured_times(found)
+    if truth.distortion is not None:
+        found = found / torch.exp(truth.distortion.clock)
+    return found * truth.scale[..., 0] - truth.offset[..., 0]
 
 
 @dataclass(eq=False)

@@ -3,7 +3,6 @@ found on the way.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from statistics import fmean, pstdev
 
@@ -16,7 +15,7 @@ from imr_torch.observe.experiments import Experiment
 from imr_torch.observe.landmarks import Landmarks, find_landmarks
 from imr_torch.observe.nuisance import FLOOR
 from imr_torch.observe.plausibility import (
-    LIMITS,
+    RANGES,
     RAYLEIGH_TIME,
     check_experiment,
     check_maximum,
@@ -68,7 +67,7 @@ class Prepared:
 
 def prepare(
     traces: TraceSet,
-    surroundings: Surroundings | None = None,
+    surroundings: Surroundings = Surroundings(),
     *,
     collapses: int = 2,
     rest_radius: tuple[float, float] | None = None,
@@ -116,15 +115,14 @@ def prepare(
     experiments = []
     frames = {}
     firsts = {}
-    outer = surroundings or Surroundings()
     kept = []
     for record in traces:
         name = record.experiment_id
         marks = landmarks[name]
         with about_experiment(name):
-            cautions += check_maximum(record, marks, outer)
+            cautions += check_maximum(record, marks, surroundings)
             trace = _thin_dense_record(
-                record, outer.time_scale(marks.max_radius_m), most_frames
+                record, surroundings.time_scale(marks.max_radius_m), most_frames
             )
             kept.append(trace)
             if len(trace) < len(record):
@@ -133,15 +131,15 @@ def prepare(
                     "so many more would change little."
                 )
             whole = to_experiment(
-                trace, marks, outer, rest_radius=rest_radius, growth=growth
+                trace, marks, surroundings, rest_radius=rest_radius, growth=growth
             )
-            first = _first_collapse(whole, marks, outer)
+            first = _first_collapse(whole, marks, surroundings)
             cut = marks.max_method == "edge"
             remedy = "and that the record begins at its maximum radius" if cut else ""
             cautions += check_experiment(
                 whole, trace.where, first=first, cut=cut, remedy=remedy
             )
-            window = _cut_window(trace, whole, marks, outer, collapses)
+            window = _cut_window(trace, whole, marks, surroundings, collapses)
         experiments.append(window)
         frames[name] = (
             len(trace),
@@ -149,9 +147,9 @@ def prepare(
             len(whole.times) - len(window.times),
         )
         firsts[name] = first
-    cautions += _find_outvoting_curve(experiments)
     cautions += render(
-        "unused_radii.txt",
+        "prepared_cautions.txt",
+        experiments=experiments,
         traces=traces,
         landmarks=landmarks,
         rest=rest_radius is None,
@@ -194,7 +192,7 @@ def _first_collapse(
     """
     first = _collapse_frame(whole, marks, surroundings, 1)
     radius = whole.radius[0]
-    latest = LIMITS.first_collapse.possible[1]
+    latest = RANGES["first_collapse"].possible[1]
     low = (radius < 0.5 * (radius.max() + radius.min())) & (whole.times > 0.0)
     came_down = whole.times[low.double().argmax()]
     return math.inf if first > latest >= 2.0 * float(came_down) else first
@@ -243,18 +241,6 @@ def _collapse_frame(
     at = marks.dimensionless_time(marks.collapse_times_s[number - 1], surroundings)
     near = (whole.times - at).abs().argsort()[:2]
     return float(whole.times[near[whole.radius[0, near].argmin()]])
-
-
-def _find_outvoting_curve(experiments: Sequence[Experiment]) -> tuple[str, ...]:
-    """Says where one of several curves has more frames than all others together."""
-    counts = [len(e.times) for e in experiments]
-    if len(counts) < 3 or 2 * max(counts) <= sum(counts):
-        return ()
-    largest = experiments[counts.index(max(counts))]
-    return (
-        f"experiment '{largest.label}' has {max(counts)} of the {sum(counts)} frames that are "
-        "fitted and decides the result; state the end of its window if it should not.",
-    )
 
 
 def _cut_window(

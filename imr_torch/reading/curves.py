@@ -5,12 +5,13 @@ A :class:`~imr_torch.reading.layout.Layout` says what names mean.
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 
 from imr_torch.errors import InputDataError, about_experiment
+from imr_torch.html import render
 from imr_torch.reading.content import Content
 from imr_torch.reading.layout import (
     KNOWN_LAYOUTS,
@@ -59,7 +60,7 @@ class RawCurve:
     radius: np.ndarray
     rows: np.ndarray
     asphericity: np.ndarray | None = None
-    given: Given = field(default_factory=Given)
+    given: Given = Given()
     left_out: tuple[LeftOut, ...] = ()
 
     @property
@@ -88,8 +89,12 @@ class RawCurve:
         """
         if wrong.any():
             i = int(wrong.argmax())
-            before = {"before": self.time[i - 1], "row": self.rows[i - 1]}
-            said = text.format(radius=self.radius[i], time=self.time[i], **before)
+            said = text.format(
+                radius=self.radius[i],
+                time=self.time[i],
+                before=self.time[i - 1],
+                row=self.rows[i - 1],
+            )
             raise InputDataError(f"{self.where}, row {self.rows[i]}: {said}")
 
 
@@ -175,17 +180,7 @@ def find_layout(content: Content, said: Said) -> tuple[Layout, list[str]]:
             f"{content.path}: read with the known layout '{best[0]}'."
         ]
     layout = infer_layout(content, _add_declared_units(content, said))
-    time = f"frames {layout.frame_interval:g} s apart" if layout.frame_interval else ""
-    if layout.time:
-        time = f"time from '{layout.time}' in {layout.time_unit}"
-    radius = f"radius from '{layout.radius}' in {layout.radius_unit}"
-    if layout.symmetry_axis:
-        radius = (
-            f"half axes a and b of an ellipsoid from '{layout.radius}' and "
-            f"'{layout.symmetry_axis}' in {layout.radius_unit}, R = (a^2 b)^(1/3)"
-        )
-    size = "; of metres and micrometres these fit a bubble" if layout.absent else ""
-    return layout, [f"{content.path}: {radius}, {time}{size}."]
+    return layout, [render("layout.txt", content=content, layout=layout)]
 
 
 def _find_separators(content: Content, value: float) -> np.ndarray:

@@ -19,10 +19,13 @@ import numpy as np
 
 from imr_torch.errors import InputDataError, check_fields, is_positive
 from imr_torch.files import read_table
+from imr_torch.html import render
 from imr_torch.reading.content import Content
 
-LENGTHS = {"m": 1.0, "um": 1e-6, "mm": 1e-3}
-TIMES = {"s": 1.0, "us": 1e-6, "ms": 1e-3, "ns": 1e-9}
+_UNITS = read_table("units")
+LENGTHS: dict[str, float] = _UNITS["lengths"]
+TIMES: dict[str, float] = _UNITS["times"]
+SCALES: dict[str, tuple[str, str, str]] = _UNITS["scales"]
 RADIUS_UNITS = (*LENGTHS, "px", "dimensionless")
 TIME_UNITS = (*TIMES, "frames", "dimensionless")
 
@@ -122,11 +125,7 @@ class Layout:
                 "frame_interval=<seconds between frames>, into --layout."
             )
         units = (self.radius_unit, self.time_unit, self.rest_radius_unit)
-        for unit, setting, meaning in (
-            ("frames", "frame_interval", "seconds between frames"),
-            ("px", "pixel_size", "metres per pixel"),
-            ("dimensionless", "max_radius", "metres"),
-        ):
+        for unit, (setting, meaning, _) in SCALES.items():
             if unit in units and getattr(self, setting) is None:
                 raise InputDataError(
                     f"The layout has the unit '{unit}' and no {setting}; write "
@@ -355,27 +354,18 @@ def _choose_entries(
     interval = scales.interval
     if interval is None:
         fits = np.ptp(spacings, 1) <= common_tolerance * spacings.mean(1)
-        target = ", equal for all curves (within 0.2 %)"
-        how = "no other choice makes them equal"
     else:
         fits = (np.abs(spacings / interval - 1.0) <= tolerance).all(1)
-        target = f" of {interval:g} s (within 1 %)"
-        how = "they match the frame interval given"
-    fitting = choices[fits]
-    if len(fitting) == 1:
-        (chosen,) = fitting.tolist()
-        listed = ", ".join(f"{spacing:.4g}" for spacing in spacings[fits][0])
-        return chosen, [
-            f"{counts}: entries {', '.join(str(i + 1) for i in chosen)} are used, in order; the "
-            f"frame spacings they imply are {listed} s, and {how}. Name them with "
-            "max_radius_entries to override this."
-        ]
-    table = "; ".join(
-        f"curve {k + 1}: " + ", ".join(f"{x:.4g}" for x in row)
-        for k, row in enumerate(implied)
+    fitting = choices[fits].tolist()
+    text = render(
+        "max_radius_entries.txt",
+        counts=counts,
+        by_hand=by_hand,
+        fitting=fitting,
+        spacings=spacings[fits],
+        implied=implied,
+        interval=interval,
     )
-    why = f"{len(fitting)} choices fit" if len(fitting) else "no choice fits"
-    raise InputDataError(
-        f"{counts}, and {why} a frame spacing{target}. Give frame_interval=<seconds between "
-        f"frames>, or {by_hand}. Frame spacings in s implied by each entry: {table}."
-    )
+    if len(fitting) != 1:
+        raise InputDataError(text)
+    return fitting[0], [text]

@@ -18,6 +18,7 @@ import numpy as np
 import scipy  # whose parts are imported when they are used
 
 from imr_torch.errors import InputDataError
+from imr_torch.files import read_table
 from imr_torch.reading.content import Content, read_npz
 from imr_torch.reading.curves import curves_of
 from imr_torch.reading.layout import TIMES, Layout
@@ -274,10 +275,6 @@ def is_shot_file(path: str | Path) -> bool:
         return False
 
 
-PRESSURES = {"pa": 1.0, "kpa": 1e3, "mpa": 1e6, "bar": 1e5, "atm": 101325.0}
-"""Unit, in small letters -> Pa."""
-
-
 def load_driving(path: str | Path) -> TabulatedDriving:
     r"""The pressure on top of the ambient one, from a file with columns of time and pressure.
 
@@ -301,7 +298,7 @@ def load_driving(path: str | Path) -> TabulatedDriving:
     columns = []
     for units, what, example in (
         (TIMES, "time", "time (us)"),
-        (PRESSURES, "pressure", "p (kPa)"),
+        (read_table("units")["pressures"], "pressure", "p (kPa)"),
     ):
         found = {
             name: units[unit]

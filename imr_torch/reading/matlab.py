@@ -161,7 +161,9 @@ def _simplify_value(value: Any) -> Any:
     if not isinstance(value, np.ndarray):
         return value
     if value.dtype.kind in "mM":
-        return _to_seconds(value).squeeze()
+        # durations, or dates less the first of them
+        since = value if value.dtype.kind == "m" else value - value.reshape(-1)[0]
+        return (since / np.timedelta64(1, "s")).squeeze()
     if value.dtype.kind in "UT":
         texts = [str(text) for text in value.reshape(-1)]
         return texts[0] if len(texts) == 1 else texts
@@ -169,9 +171,3 @@ def _simplify_value(value: Any) -> Any:
         cells = [_simplify_value(cell) for cell in value.reshape(-1, order="F")]
         return cells[0] if len(cells) == 1 and isinstance(cells[0], str) else cells
     return value.squeeze()
-
-
-def _to_seconds(times: np.ndarray) -> np.ndarray:
-    """Durations in seconds, or seconds since the first date."""
-    since = times if times.dtype.kind == "m" else times - times.reshape(-1)[0]
-    return since / np.timedelta64(1, "s")

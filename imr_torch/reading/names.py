@@ -16,8 +16,9 @@ import numpy as np
 
 from imr_torch.errors import InputDataError
 from imr_torch.files import read_table
+from imr_torch.html import render
 from imr_torch.reading.content import Content
-from imr_torch.reading.layout import LENGTHS, TIMES, Layout, Said
+from imr_torch.reading.layout import LENGTHS, SCALES, TIMES, Layout, Said
 from imr_torch.reading.traces import MIN_SAMPLES, RADIUS_RANGE_M
 
 _TABLE = read_table("headings")
@@ -297,18 +298,8 @@ def _check_scales(
     radius_unit = radii[0].unit
     known = f"radius={'+'.join(h.name for h in radii)},radius_unit={radius_unit}"
     known += f",time={time.name},time_unit={time.unit}" if time != _COUNTED else ""
-    dimensionless = "dimensionless" in (radius_unit, time.unit)
-    for needed, key, setting, meaning in (
-        (radius_unit == "px", "pixel_size_m", "pixel_size", "metres per pixel"),
-        (
-            time.unit == "frames",
-            "frame_rate_fps",
-            "frame_interval",
-            "seconds between frames",
-        ),
-        (dimensionless, "Rmax_m", "max_radius", "metres"),
-    ):
-        if needed and getattr(said, setting) is None:
+    for unit, (setting, meaning, key) in SCALES.items():
+        if unit in (radius_unit, time.unit) and getattr(said, setting) is None:
             raise InputDataError(
                 f"{file}: radii are in {radius_unit} and times in {time.unit}, and no {setting} is "
                 f"known; write {key} once into the JSON file of the same name beside it, "
@@ -348,24 +339,18 @@ def _propose_layout(
     top = max(float(np.nanmax(np.abs(values[h.name]), initial=0.0)) for h in radii)
     unit = radii[0].unit or said.radius_unit or _nearest_unit(top, LENGTHS, 2e-4)
     every = len(radii) > 1 and len(radii) == len(numeric) - (time in numeric)
-    option = (
-        f"radius={'*' if every else '+'.join(h.name for h in radii)},radius_unit={unit}"
-    )
-    option += ",pixel_size=<metres per pixel>" if unit == "px" else ""
-    sense = f"a largest radius of {top:.4g} {unit}"
-    if time == _COUNTED:
-        option += ",frame_interval=<seconds between frames>"
-    else:
-        span = _finite_span(values[time.name])
-        clock = time.unit or said.time_unit or _nearest_unit(span, TIMES, 3e-5)
-        option += f",time={time.name},time_unit={clock}"
-        sense += f" and a record of {span:.4g} {clock}"
-    experiment = _find_experiment(headings, (time, *radii))
-    option += f",experiment={experiment.name}" if experiment else ""
-    return (
-        f'If this is right, add --layout "{option}" (in Python '
-        f'layout=Layout.from_text("{option}")), which gives {sense}; '
-        "or write the units into the header, as in 'time (us)' and 'R (um)'."
+    counted = time == _COUNTED
+    span = 0.0 if counted else _finite_span(values[time.name])
+    return render(
+        "layout_proposal.txt",
+        radii=radii,
+        every=every,
+        radius_unit=unit,
+        top=top,
+        time=None if counted else time,
+        time_unit=time.unit or said.time_unit or _nearest_unit(span, TIMES, 3e-5),
+        span=span,
+        experiment=_find_experiment(headings, (time, *radii)),
     )
 
 

@@ -28,27 +28,18 @@ from pathlib import Path
 from typing import Any
 
 from imr_torch.errors import InputDataError, about_experiment
-from imr_torch.files import Document, read_json, write_json
+from imr_torch.files import Document, read_json, read_table, write_json
+from imr_torch.html import render
 from imr_torch.reading.layout import RADIUS_UNITS, TIMES, Said
 from imr_torch.reading.names import unit_of
 from imr_torch.reading.statement import Statement
-from imr_torch.reading.traces import Given, Override, RadiusTrace, TraceSet
+from imr_torch.reading.traces import Given, Override, TraceSet
 
-OVERRIDES = {
-    "Rmax_m": "max_radius_m",
-    "Rmax_sd_m": "max_radius_sd_m",
-    "t_Rmax_s": "time_of_max_s",
-    "Rinf_m": "rest_radius_m",
-    "Rinf_sd_m": "rest_radius_sd_m",
-    "window_end_s": "window_end_s",
-}
+_TABLE = read_table("sidecar")
+OVERRIDES: dict[str, str] = _TABLE["override"]
 """Fields of ``override`` in the JSON file, and those of :class:`imr_torch.reading.Override`."""
-_OF_CAMERA = {"frame_rate_fps": "frame_rate_hz", "exposure_s": "exposure_s"}
-_NUMBERS = {
-    "Rinf_tail_std_m": "rest_radius_sd_m",
-    **{key: field for key, field in OVERRIDES.items() if key != "window_end_s"},
-    **_OF_CAMERA,
-}
+_OF_CAMERA = _TABLE["camera"]
+_NUMBERS = _TABLE["bubble"] | _OF_CAMERA
 _EXPECTED = "expected JSON with a list 'experiments' of entries with experiment_id, Rmax_m, Rinf_m, ..."
 
 
@@ -224,9 +215,9 @@ class Sidecar:
         except InputDataError as error:
             raise self._refuse_file(f"{where}: {error}") from None
 
-    def added_to(self, traces: TraceSet) -> TraceSet:
-        """The traces with what it says about them, where their file says nothing itself, and a
-        note.
+    def added_to(self, traces: TraceSet, *, tolerance: float = 0.05) -> TraceSet:
+        """The traces with what it says about them, where their file says nothing itself, and notes;
+        ``tolerance``: of the stated frame rate.
         """
         if not self.exists or not len(traces):
             return traces
@@ -242,35 +233,16 @@ class Sidecar:
             }
             new.append(replace(trace, given=Given(**beside | own)))
         described = [name for name in traces.ids if name in self.entries]
-        notes = []
-        if self.entries:
-            notes.append(
-                f"{self.path}: gives the laboratory's values for {len(described)} of "
-                f"{len(traces)} experiments."
-            )
-        elif alone:
-            notes.append(f"{self.path}: gives the laboratory's values.")
-        notes += [text for trace in new if (text := self._compare_rate(trace))]
         known = {*described, *(x.experiment_id for x in traces.left_out)}
-        extra = [name for name in self.entries if name not in known]
-        if extra:
-            notes.append(
-                f"{self.path}: describes {len(extra)} experiment(s) that {self.file.name} does "
-                f"not hold: {', '.join(extra[:5])}."
-            )
+        notes = render(
+            "sidecar.txt",
+            **vars(self),
+            traces=new,
+            described=described,
+            extra=[name for name in self.entries if name not in known],
+            tolerance=tolerance,
+        ).splitlines()
         return TraceSet(tuple(new), traces.left_out, (*traces.notes, *notes))
-
-    def _compare_rate(self, trace: RadiusTrace, *, tolerance: float = 0.05) -> str:
-        """What is to be said of a frame rate that is not that of the frames."""
-        rate = trace.given.frame_rate_hz
-        interval = float(trace.time_s.diff().median())
-        if rate is None or abs(rate * interval - 1.0) <= tolerance:
-            return ""
-        return (
-            f"{self.path}: frame_rate_fps is {rate:g} and the frames of '{trace.experiment_id}' "
-            f"are {1e6 * interval:.4g} us apart, which is {1.0 / interval:.4g} per second; the "
-            "times of the file are used. Correct the one that is wrong."
-        )
 
 
 def state(

@@ -15,6 +15,8 @@ from imr_torch.material.media import named_medium
 
 Stated = tuple[float, float | None]
 """A value and its standard deviation, which is None where the value is taken as exact."""
+Entry = tuple[float, float | None, str]
+"""The same with who stated it."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,14 @@ class Statement:
                 )
             if key in values:
                 raise InputDataError(f"{where}: {key} is stated twice; state it once.")
-            values[key] = _parse_pair(rest, part, where)
+            try:
+                value, *sd = map(float, rest.split(":", 1))
+            except ValueError:
+                raise InputDataError(
+                    f"{where}: {part!r} is not PROPERTY=VALUE or PROPERTY=VALUE:SD, for example "
+                    "density=1125:11."
+                ) from None
+            values[key] = (value, sd[0] if sd else None)
         return cls(name, values, where)
 
     @classmethod
@@ -108,7 +117,8 @@ class Statement:
                     f"{where}: medium: {key} is {given!r}; write a number in SI units, or [value, "
                     "sd]."
                 )
-            values[key] = (float(parts[0]), float(parts[1]) if len(parts) == 2 else None)
+            value, sd = [*map(float, parts), None][:2]
+            values[key] = (value, sd)
         name = document.get("name", "")
         if not isinstance(name, str):
             raise InputDataError(
@@ -116,12 +126,12 @@ class Statement:
             )
         return cls(name, values, where)
 
-    def at(self, temperature: float) -> dict[str, tuple[float, float | None, str]]:
+    def at(self, temperature: float) -> dict[str, Entry]:
         """Field of the surroundings -> value, standard deviation and source.
 
         Those of the name at a temperature in K.
         """
-        found: dict[str, tuple[float, float | None, str]] = {}
+        found: dict[str, Entry] = {}
         if self.name:
             medium = named_medium(self.name)
             for name, value in medium.at(temperature).items():
@@ -129,19 +139,6 @@ class Statement:
         for name, (value, sd) in self.values.items():
             found[PROPERTIES[name].field] = (value, sd, self.where)
         return found
-
-
-def _parse_pair(text: str, part: str, where: str) -> Stated:
-    try:
-        value, *rest = map(float, text.split(":"))
-        if len(rest) > 1:
-            raise ValueError
-    except ValueError:
-        raise InputDataError(
-            f"{where}: {part!r} is not PROPERTY=VALUE or PROPERTY=VALUE:SD, for example "
-            "density=1125:11."
-        ) from None
-    return value, rest[0] if rest else None
 
 
 def _check_property(

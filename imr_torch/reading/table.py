@@ -165,15 +165,14 @@ def table_content(
         texts[name] = cells
         if units:
             beside[name] = units[k]
-    columns = {name: _read_column(cells, comma) for name, cells in texts.items()}
+    columns: dict[str, np.ndarray | list[str]] = {}
+    for name, cells in texts.items():
+        numbers = [read_number(cell, comma=comma) if cell else np.nan for cell in cells]
+        columns[name] = (
+            list(cells) if None in numbers else np.array(numbers, dtype=np.float64)
+        )
     lines = np.array([line for line, _ in body])
     return Content(path, columns, "column", lines, beside, has_header, texts)
-
-
-def _read_column(cells: Sequence[str], comma: bool) -> np.ndarray | list[str]:
-    """Numbers, NaN where a cell is empty; the texts themselves if one is no number."""
-    numbers = [read_number(cell, comma=comma) if cell else np.nan for cell in cells]
-    return list(cells) if None in numbers else np.array(numbers, dtype=np.float64)
 
 
 def _is_unit_row(row: list[str], below: list[str], width: int, comma: bool) -> bool:

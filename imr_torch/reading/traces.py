@@ -17,13 +17,13 @@ from jaxtyping import Real
 from torch import Tensor
 
 from imr_torch.errors import InputDataError, check_fields, is_positive
+from imr_torch.files import read_table
 from imr_torch.html import render
 from imr_torch.reading.statement import Statement
 
-RADIUS_RANGE_M = (1e-7, 1e-1)
-DURATION_RANGE_S = (1e-7, 1.0)
+_SIZES = read_table("limits")["sizes"]
+RADIUS_RANGE_M: tuple[float, float] = _SIZES["radius_m"]["possible"]
 MIN_SAMPLES = 5
-_IN_HEADER = " If the header of the file names the unit, correct it there."
 
 
 @dataclass(frozen=True)
@@ -192,9 +192,8 @@ class RadiusTrace:
         """File and experiment, for messages."""
         return f"{self.source}: experiment '{self.experiment_id}'"
 
-    def _place_of(self, field: str, sample: int | None = None) -> str:
-        row = "" if sample is None else f", sample {sample} (counted from 0)"
-        return f"{self.where}, {field}{row}"
+    def _place_of(self, field: str) -> str:
+        return f"{self.where}, {field}"
 
     def _refuse_sample(self, wrong: Tensor, field: str, text: str) -> None:
         """Refuse the first sample of a field that is wrong, with its value and the one before."""
@@ -202,7 +201,8 @@ class RadiusTrace:
             i = int(wrong.nonzero()[0])
             values = getattr(self, field)
             said = text.format(values[i].item(), values[i - 1].item())
-            raise InputDataError(f"{self._place_of(field, i)} is {said}")
+            place = f"{self._place_of(field)}, sample {i} (counted from 0)"
+            raise InputDataError(f"{place} is {said}")
 
     def _check_values(self) -> None:
         time = self.time_s
@@ -217,39 +217,22 @@ class RadiusTrace:
         self._refuse_sample(backwards, "time_s", text)
 
     def _check_units(self) -> None:
-        top = float(self.radius_m.max())
-        smallest, largest = RADIUS_RANGE_M
-        if not smallest <= top <= largest:
-            guess = "metres converted once too often: write radius_unit=m"
-            if top >= 10.0:
-                guess = (
-                    "micrometres given as metres: write radius_unit=um (or px with a pixel_size "
-                    "if the numbers are pixels)"
+        duration = float(self.time_s[-1] - self.time_s[0])
+        sizes = {"radius_m": float(self.radius_m.max()), "time_s": duration}
+        for name, value in sizes.items():
+            size = _SIZES[name]
+            low, high = size["possible"]
+            if not low <= value <= high:
+                guess = next(said for least, said in size["guesses"] if value >= least)
+                raise InputDataError(
+                    f"{self._place_of(name)} {size['text'].format(value)}. This looks like {guess} "
+                    "into --layout. If the header of the file names the unit, correct it there."
                 )
-            elif top > largest:
-                guess = "millimetres given as metres: write radius_unit=mm"
-            raise InputDataError(
-                f"{self._place_of('radius_m')} is {top:.4g} at its largest, in m; bubbles lie between "
-                f"1e-07 and 0.1 m. This looks like {guess} into --layout.{_IN_HEADER}"
-            )
         text = (
             "{:.4g} m, below what a camera can see (1e-07 m): set the frame to NaN if the bubble "
             "was lost in it."
         )
-        self._refuse_sample(self.radius_m < smallest, "radius_m", text)
-        duration = float(self.time_s[-1] - self.time_s[0])
-        shortest, longest = DURATION_RANGE_S
-        if not shortest <= duration <= longest:
-            guess = "seconds converted once too often: write time_unit=s"
-            if duration > longest:
-                guess = (
-                    "microseconds (or frames) given as seconds: write time_unit=us (or frames "
-                    "with a frame_interval)"
-                )
-            raise InputDataError(
-                f"{self._place_of('time_s')} spans {duration:.4g} s; records last between 1e-07 and 1 "
-                f"s. This looks like {guess} into --layout.{_IN_HEADER}"
-            )
+        self._refuse_sample(self.radius_m < RADIUS_RANGE_M[0], "radius_m", text)
 
 
 @dataclass(frozen=True)
@@ -347,7 +330,7 @@ class TraceSet:
                     f"No experiment '{key}' among the {len(self)} loaded: "
                     f"{', '.join(self.ids[:8]) or 'none'}{more}."
                 )
-            return self.traces[self.ids.index(key)]
+            key = self.ids.index(key)
         return self.traces[key]
 
     def select(self, ids: Sequence[str]) -> "TraceSet":
@@ -363,9 +346,6 @@ class TraceSet:
         note = f"Selected {len(chosen)} of {len(self)} experiments."
         return TraceSet(chosen, records, (*self.notes, note))
 
-    def __add__(self, other: "TraceSet") -> "TraceSet":
-        return TraceSet.join((self, other))
-
     @staticmethod
     def join(sets: Iterable["TraceSet"]) -> "TraceSet":
         """All sets as one; where ids clash between files, they are prefixed with the name of their
@@ -376,32 +356,27 @@ class TraceSet:
         """
         sets = tuple(sets)
         traces = [trace for s in sets for trace in s.traces]
+        names = {(t.source, t.experiment_id): t.experiment_id for t in traces}
+        for prefix in ("{0.stem}:", "{0.parent.name}/"):
+            counts = Counter(names.values())
+            names = {
+                key: (prefix.format(Path(key[0])) if counts[name] > 1 else "") + name
+                for key, name in names.items()
+            }
         left_out = [x for s in sets for x in s.left_out]
         notes = [x for s in sets for x in s.notes]
-        for folder in (False, True):
-            counts = Counter(t.experiment_id for t in traces)
-            new: dict[tuple[str, str], str] = {}
-            for t in traces:
-                if counts[t.experiment_id] > 1:
-                    file = Path(t.source)
-                    before = f"{file.parent.name}/" if folder else f"{file.stem}:"
-                    new[t.source, t.experiment_id] = f"{before}{t.experiment_id}"
-            traces = [
-                replace(
-                    t, experiment_id=new.get((t.source, t.experiment_id), t.experiment_id)
-                )
-                for t in traces
-            ]
-            left_out = [
-                replace(
-                    x, experiment_id=new.get((x.file, x.experiment_id), x.experiment_id)
-                )
-                for x in left_out
-            ]
-            notes += [
-                f"{file}: experiment '{old}' is named '{name}' here."
-                for (file, old), name in new.items()
-            ]
+        notes += [
+            f"{file}: experiment '{old}' is named '{name}' here."
+            for (file, old), name in names.items()
+            if name != old
+        ]
+        traces = [
+            replace(t, experiment_id=names[t.source, t.experiment_id]) for t in traces
+        ]
+        left_out = [
+            replace(x, experiment_id=names.get((x.file, x.experiment_id), x.experiment_id))
+            for x in left_out
+        ]
         return TraceSet(tuple(traces), tuple(left_out), tuple(notes))
 
     def report(self) -> str:

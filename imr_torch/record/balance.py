@@ -8,6 +8,7 @@ cycle, pressures over p_inf.
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -52,8 +53,7 @@ class Contents:
         return float(np.trapezoid(rate, s) + rate[0] * s[0])
 
 
-@dataclass(frozen=True, eq=False)
-class Frames:
+class Frames(NamedTuple):
     """Frames of a cycle: times from its maximum, radii, and the weight of U = 0 at time 0.
 
     The weight is the noise of a frame over the error of time 0; 0 where growth was recorded, which
@@ -65,8 +65,7 @@ class Frames:
     still: float
 
 
-@dataclass(frozen=True, eq=False)
-class SmoothCurve:
+class SmoothCurve(NamedTuple):
     """A cycle on a dense grid: time, radius, velocity, wall pressure less that far away; errors."""
 
     t: np.ndarray
@@ -77,8 +76,7 @@ class SmoothCurve:
     p_sd: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
-class _Fit:
+class _Fit(NamedTuple):
     """Coefficients of the pressures, and V, its rate and the wall pressure (``3 x dense``)."""
 
     coefficients: np.ndarray

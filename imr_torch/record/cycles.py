@@ -29,6 +29,9 @@ class RecordOptions:
         beyond: frames by which a curve is continued: the level of the chord lies between two.
         cycles: that are described.
         odd: prior probability that a shot stands out in one quantity.
+        odd_noisy: the same where its error is more than ``noisy`` times that of the shots in the
+            middle: a bad focus makes noise that hides what else it does.
+        noisy: see there.
         wide: standard deviation of shots that stand out, over that of the others.
         scatter: of the shots of a set that a prior takes for likely: of the chord, of the skewness,
             and of the viscosity over its median.
@@ -49,6 +52,8 @@ class RecordOptions:
     beyond: float = 1.0
     cycles: int = 3
     odd: float = 0.1
+    odd_noisy: float = 0.3
+    noisy: float = 2.0
     wide: float = 5.0
     scatter: tuple[float, float, float] = (0.01, 0.01, 0.15)
     odd_weight: float = 0.001
@@ -180,7 +185,9 @@ def _describe_cycle(
     if not 0.9 < curve.y.max() < 1.1:
         return None
     units = np.array([far * unit, far])
-    medium, medium_sd = (units * values for values in fit_medium(frames, curve, contents))
+    (viscosity, modulus), (viscosity_sd, modulus_sd) = (
+        (units * values).tolist() for values in fit_medium(frames, curve, contents)
+    )
     levels = np.linspace(np.ceil(50.0 * floor) / 50.0, 0.98, 25)
     growth, growth_sd = _read_pressures(_take_branch(curve, -1), levels)
     collapse, collapse_sd = _read_pressures(_take_branch(curve, 1), levels)
@@ -193,10 +200,10 @@ def _describe_cycle(
         growth_sd=growth_sd,
         collapse=collapse,
         collapse_sd=collapse_sd,
-        viscosity=float(medium[0]),
-        viscosity_sd=float(medium_sd[0]),
-        modulus=float(medium[1]),
-        modulus_sd=float(medium_sd[1]),
+        viscosity=viscosity,
+        viscosity_sd=viscosity_sd,
+        modulus=modulus,
+        modulus_sd=modulus_sd,
         **_chord_and_skewness(curve, contents),
     )
 
@@ -204,7 +211,7 @@ def _describe_cycle(
 def _take_branch(curve: SmoothCurve, side: int) -> SmoothCurve:
     """Growth (-1) or collapse (1), from the smallest radius to the maximum."""
     rows = slice(int(curve.y.argmax()), None, side)
-    return SmoothCurve(*(values[rows][::-1] for values in vars(curve).values()))
+    return SmoothCurve(*(values[rows][::-1] for values in curve))
 
 
 def _read_pressures(

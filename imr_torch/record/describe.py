@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imr_torch.files import Document, without_nonfinite
+from imr_torch.files import Document, read_table, without_nonfinite
 from imr_torch.html import render
 from imr_torch.observe import Experiment
 from imr_torch.observe.landmarks import find_landmarks
@@ -20,8 +20,8 @@ from imr_torch.reading.traces import RadiusTrace
 from imr_torch.record.cycles import Cycle, RecordOptions, describe_cycles
 from imr_torch.units import Surroundings
 
-WATER = {"chord": 1.020, "skewness": 0.013}
-"""Medians of 45 shots in water by laser (Wilson et al., Phys. Rev. E 99, 2019), at 998 kg/m^3."""
+WATER = read_table("record")["water"]
+"""Medians of chord and skewness of shots in water (``data/record.toml``)."""
 
 FEWEST = 3
 """Shots below which none can be told to stand out: two cannot outvote each other."""
@@ -136,9 +136,9 @@ class Record:
 
 def describe_record(
     traces: Iterable[RadiusTrace],
-    surroundings: Surroundings | None = None,
+    surroundings: Surroundings = Surroundings(),
     *,
-    options: RecordOptions | None = None,
+    options: RecordOptions = RecordOptions(),
 ) -> Record:
     """What records show without a model of the gel.
 
@@ -157,12 +157,10 @@ def describe_record(
     >>> record.shots[0].cycles[0].frames, record.sentences()[-1]
     (95, 'Two shots cannot outvote each other, so of fewer than three none stands out.')
     """
-    options = options or RecordOptions()
-    outer = surroundings or Surroundings()
     shots = [
         ShotRecord(
             trace.experiment_id,
-            describe_cycles(trace, find_landmarks(trace), outer, options),
+            describe_cycles(trace, find_landmarks(trace), surroundings, options),
         )
         for trace in traces
     ]
@@ -233,6 +231,8 @@ def odd_probabilities(
     if known.sum() < FEWEST:
         return found
     x = values[known]
+    noisy = sds[known] > options.noisy * np.median(sds[known])
+    before = np.where(noisy, options.odd_noisy, options.odd)
     size = np.log(sizes[known] / np.median(sizes[known]))
     reach = 3.0 * np.hypot(scatter, 1.5 * np.median(abs(x - np.median(x))))
     centre, change, spread = np.meshgrid(
@@ -245,8 +245,8 @@ def odd_probabilities(
     prior -= 0.5 * np.log2(spread / scatter) ** 2  # a factor of 2 either way
     variance = spread[..., None] ** 2 + sds[known] ** 2
     apart = (x - centre[..., None] - change[..., None] * size) ** 2 / variance
-    good = np.exp(-0.5 * apart) * (1.0 - options.odd)
-    odd = np.exp(-0.5 * apart / options.wide**2) * options.odd / options.wide
+    good = np.exp(-0.5 * apart) * (1.0 - before)
+    odd = np.exp(-0.5 * apart / options.wide**2) * before / options.wide
     weight = prior + (np.log(good + odd + 1e-300) - 0.5 * np.log(variance)).sum(-1)
     weight = np.exp(weight - weight.max())
     share = odd / (good + odd + 1e-300)

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from imr_torch.drawing import CYCLE, DATA, floats
+from imr_torch.files import read_table
 
 
 def record_figure(record: Mapping[str, Any]) -> Figure:
@@ -22,17 +23,16 @@ def record_figure(record: Mapping[str, Any]) -> Figure:
     >>> len(record_figure(Record((ShotRecord("shot 1", ()),)).to_dict()).axes)
     5
     """
-    figure, axes = plt.subplot_mosaic("PP;CS;VG", figsize=(5.8, 6.6), layout="constrained")
-    _plot_pressure(record, axes["P"])
-    for panel, name, scale, label in (
-        ("C", "chord", 1.0, "chord / lossless"),
-        ("S", "skewness", 1.0, "skewness"),
-        ("V", "viscosity", 1.0, "viscosity (Pa s)"),
-        ("G", "modulus", 1e-3, "modulus (kPa)"),
-    ):
-        _plot_over_size(record, name, scale, axes[panel])
-        axes[panel].set(xlabel="$R_k$ (µm)", ylabel=label)
-    keys = [axes[panel].get_legend_handles_labels() for panel in "PV"]
+    figure, axes = plt.subplot_mosaic(
+        [["pressure", "pressure"], ["chord", "skewness"], ["viscosity", "modulus"]],
+        figsize=(5.8, 6.6),
+        layout="constrained",
+    )
+    _plot_pressure(record, axes["pressure"])
+    for name, (scale, label) in read_table("record")["panels"].items():
+        _plot_over_size(record, name, scale, axes[name])
+        axes[name].set(xlabel="$R_k$ (µm)", ylabel=label)
+    keys = [axes[name].get_legend_handles_labels() for name in ("pressure", "viscosity")]
     handles, labels = (lines + cycles for lines, cycles in zip(*keys, strict=True))
     figure.legend(
         handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=8

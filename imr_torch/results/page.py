@@ -19,16 +19,8 @@ from imr_torch.results.figures import draw_figures, kind_of
 from imr_torch.results.intervals import is_usable, parameters_of
 from imr_torch.select import Bound
 
-TITLES = {
-    "characterize": "Gel in {files}",
-    "campaign": "Campaign",
-    "design": "Next experiment",
-    "batch": "Summary of shots",
-    "compare": "Two gels compared",
-    "diagnose": "Where does the model fail?",
-    "laboratory": "Is what the gels miss common to them?",
-}
-"""Results that have a report and a page, and the title of the page."""
+KINDS = ("characterize", "campaign", "design", "batch", "compare", "diagnose", "laboratory")
+"""Results that have a report and a page."""
 
 
 def document_report(document: Document) -> str:
@@ -74,8 +66,7 @@ def document_page(document: Document, *, title: str = "", report: str = "") -> s
     return _fill_template(
         f"{kind}.html",
         **names,
-        title=title
-        or TITLES[kind].format(files=_name_files(document) or "the given curves"),
+        title=title,
         drawn=_draw_pictures(figure for figure in figures if figure not in of_curves[6:]),
         report=report or _fill_template(f"{kind}.txt", **names),
     )
@@ -117,9 +108,9 @@ def _fill_template(template: str, **names: Any) -> str:
 def _check_kind(document: Document) -> str:
     """The kind of a result that has a report and a page."""
     kind = kind_of(document)
-    if kind not in TITLES:
+    if kind not in KINDS:
         raise InputDataError(
-            f"--html: the result is of {kind!r}; a page is made of {', '.join(TITLES)} only. Leave "
+            f"--html: the result is of {kind!r}; a page is made of {', '.join(KINDS)} only. Leave "
             "--html out."
         )
     return kind
@@ -155,15 +146,3 @@ def _draw_pictures(figures: Iterable[NamedFigure]) -> dict[str, list[Any]]:
                 "in the JSON."
             )
     return {"pictures": pictures, "failed": failed}
-
-
-def _name_files(document: Document) -> str:
-    """The files whose curves were fitted; all tables where the result does not say it."""
-    names = [
-        x["name"] for x in document.get("files", ()) if not x["name"].endswith(".json")
-    ]
-    fitted = {curve.get("source") for curve in document.get("curves", ())}
-    chosen = (
-        [] if document.get("collapse_times") else [name for name in names if name in fitted]
-    )
-    return ", ".join(chosen or names)

@@ -11,7 +11,13 @@ from functools import cached_property
 from typing import ClassVar, Literal
 
 from imr_torch.elementary import Law, Scalar, power
-from imr_torch.errors import InputDataError, check_at_least, check_fields, is_positive
+from imr_torch.errors import (
+    InputDataError,
+    check_at_least,
+    check_choice,
+    check_fields,
+    is_positive,
+)
 from imr_torch.simulate.driving import TabulatedDriving
 from imr_torch.simulate.radial import KellerMiksis, RadialEquation
 from imr_torch.units import Surroundings
@@ -95,7 +101,7 @@ class PolytropicGas:
     def __post_init__(self) -> None:
         expected = "1 (isothermal) to 5/3 (monatomic adiabatic)"
         check_fields(self, lambda value: 1.0 <= value <= 5.0 / 3.0, expected, "exponent")
-        _require_choice(self, "reference", ("maximum", "rest"))
+        check_choice(self, "reference", ("maximum", "rest"))
 
 
 @dataclass(frozen=True)
@@ -169,7 +175,7 @@ class GasMixture:
     vapour: Literal["transported", "constant", "frozen", "absent"] = "transported"
 
     def __post_init__(self) -> None:
-        _require_choice(self, "vapour", ("transported", "constant", "frozen", "absent"))
+        check_choice(self, "vapour", ("transported", "constant", "frozen", "absent"))
         expected = "above 1 and at most 5/3"
         check_fields(self, lambda ratio: 1.0 < ratio <= 5.0 / 3.0, expected, "heat_ratio")
         numbers = [name for name in vars(self) if name not in ("vapour", "heat_ratio")]
@@ -203,17 +209,9 @@ class Medium:
     capacity_of: Literal["medium", "gas_wall"] = "medium"
 
     def __post_init__(self) -> None:
-        _require_choice(self, "capacity_of", ("medium", "gas_wall"))
+        check_choice(self, "capacity_of", ("medium", "gas_wall"))
         numbers = ("conductivity", "heat_capacity", "latent_heat")
         check_fields(self, is_positive, "a positive finite number in SI units", *numbers)
-
-
-def _require_choice(options: object, name: str, known: tuple[str, ...]) -> None:
-    value = getattr(options, name)
-    if value not in known:
-        raise InputDataError(
-            f"{type(options).__name__}.{name} is {value!r}; expected one of {', '.join(known)}."
-        )
 
 
 @dataclass(frozen=True)

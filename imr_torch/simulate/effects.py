@@ -6,6 +6,8 @@ parameter of each member of a batch, so that it can be inferred like a property 
 each does nothing, exactly. Parameters and priors are in ``data/effects.toml``.
 """
 
+from functools import partial
+
 import torch
 
 from imr_torch.elementary import Scalar, Scalars, cos, exp, power, real, sin, sqrt, where
@@ -13,6 +15,21 @@ from imr_torch.material import StressTerm, register_term
 from imr_torch.material.effect import give_physics
 from imr_torch.material.stress import SMOOTH
 from imr_torch.simulate.setting import Setting
+from imr_torch.types import BubbleValues
+
+
+def add_to_entry(entry: str, setting: Setting, amount: BubbleValues) -> Setting:
+    """A setting with something added to one entry."""
+    return setting._replace(**{entry: getattr(setting, entry) + amount})
+
+
+def scale_entry(
+    entry: str, power: float, setting: Setting, exponent: BubbleValues
+) -> Setting:
+    """A setting with one entry multiplied by an exponential."""
+    scale = torch.exp(power * exponent)
+    return setting._replace(**{entry: getattr(setting, entry) * scale})
+
 
 # --- the contents ---
 
@@ -31,11 +48,6 @@ def heat_exchange(setting: Setting, factor: Scalar) -> Setting:
     )
 
 
-def vapour_pressure(setting: Setting, excess: Scalar) -> Setting:
-    """Vapour pressure off its saturation value."""
-    return setting._replace(saturation=setting.saturation + excess)
-
-
 def condensation(compression: Scalar, trapped: Scalar) -> Scalar:
     """Vapour that cannot condense in time is compressed with the rest."""
     return power(compression, trapped)
@@ -49,32 +61,6 @@ def gas_loss(
     depth = where(real(depth) > 0.0, depth, 0.0)
     speed = sqrt(velocity * velocity + SMOOTH * SMOOTH) - SMOOTH
     return share * speed / radius * depth * depth
-
-
-# A simulation starts at the maximum radius with the gas that rests at ``R_inf``, at the temperature
-# of the gel, and keeps it. Each of these effects drops one of these assumptions.
-
-
-def excess_gas(setting: Setting, excess: Scalar) -> Setting:
-    """The bubble holds more or less non-condensable gas than would rest at ``R_inf``, to which the
-    gel's stress is referred.
-
-    How much gas a laser leaves in a bubble does not follow from its maximum radius and is a
-    parameter of its own in models of laser cavitation (Akhatov et al., Phys. Fluids 13, 2001; Liang
-    et al., J. Fluid Mech. 940, 2022, A5).
-    """
-    return setting._replace(gas=setting.gas * torch.exp(excess))
-
-
-def hot_contents(setting: Setting, excess: Scalar) -> Setting:
-    """Contents are hotter (or colder) than the gel at the maximum radius.
-
-    The amount of gas is that of ``R_inf``, so its pressure is that of the mean temperature, and
-    falls as heat crosses the wall. Polytropic gas has no heat to lose: there it is excess gas.
-    Equilibrium at the maximum radius is an assumption of Estrada et al. (J. Mech. Phys. Solids 112,
-    2018, section 2.3); laser plasma leaves heat behind (Liang et al. 2022).
-    """
-    return setting._replace(warmth=setting.warmth + excess)
 
 
 def rinf_drift(
@@ -91,38 +77,6 @@ def rinf_drift(
 
 
 # --- the liquid ---
-
-
-def sound_speed(setting: Setting, factor: Scalar) -> Setting:
-    """The speed of sound differs."""
-    return setting._replace(slowness=setting.slowness * torch.exp(-factor))
-
-
-def compressibility(setting: Setting, share: Scalar) -> Setting:
-    """The equation of Keller & Miksis moves towards that of second order in the Mach number, which
-    it is at 1 (Lezzi & Prosperetti, J. Fluid Mech. 185, 1987); other equations stay as they are.
-    """
-    return setting._replace(beyond=setting.beyond + share)
-
-
-def density(setting: Setting, factor: Scalar) -> Setting:
-    """A denser medium moves more slowly under the same pressures."""
-    return setting._replace(pace=setting.pace * torch.exp(-0.5 * factor))
-
-
-def surface_tension(setting: Setting, factor: Scalar) -> Setting:
-    """Surface tension differs while the bubble moves; the contents are those of the design."""
-    return setting._replace(tension=setting.tension * torch.exp(factor))
-
-
-def far_field_pressure(setting: Setting, excess: Scalar) -> Setting:
-    """Far-field pressure is not ``p_inf``."""
-    return setting._replace(far=setting.far + excess)
-
-
-def wall(setting: Setting, strength: Scalar) -> Setting:
-    """A wall or another bubble is near."""
-    return setting._replace(image=setting.image + strength)
 
 
 def shape_modes(
@@ -171,11 +125,6 @@ register_term(StressTerm(drag_of_size, switch="size_drag", odd=("size_drag",)))
 # --- driving ---
 
 
-def residual_velocity(setting: Setting, velocity: Scalar) -> Setting:
-    """The wall still moves at time zero."""
-    return setting._replace(velocity=setting.velocity + velocity)
-
-
 def sound_field(
     time: Scalar, amplitude: Scalar, log_frequency: Scalar, phase: Scalar
 ) -> tuple[Scalar, Scalar, Scalar]:
@@ -196,32 +145,32 @@ def pulse(
     return value, -2.0 * x / width * value, (4.0 * x * x - 2.0) / (width * width) * value
 
 
-LAWS = {
-    "setting": (
-        heat_exchange,
-        vapour_pressure,
-        excess_gas,
-        hot_contents,
-        sound_speed,
-        compressibility,
-        density,
-        surface_tension,
-        far_field_pressure,
-        wall,
-        residual_velocity,
-    ),
-    "vapour": (condensation,),
-    "gas_loss": (
-        gas_loss,
-        rinf_drift,
-    ),
-    "far_field": (
-        sound_field,
-        pulse,
-    ),
-}
-"""Kind of law -> the laws, each of the effect of its name."""
+# A simulation starts at the maximum radius with the gas that rests at ``R_inf``, at the temperature
+# of the gel, and keeps it: ``excess_gas``, ``hot_contents`` and ``rinf_drift`` drop these assumptions.
 
-for _kind, _laws in LAWS.items():
-    for _law in _laws:
-        give_physics(_law.__name__, **{_kind: _law})
+ADDED = {
+    "vapour_pressure": "saturation",
+    "hot_contents": "warmth",
+    "compressibility": "beyond",
+    "far_field_pressure": "far",
+    "wall": "image",
+    "residual_velocity": "velocity",
+}
+"""Effect -> the entry of the setting that its amplitude is added to."""
+SCALED = {
+    "excess_gas": ("gas", 1.0),
+    "sound_speed": ("slowness", -1.0),
+    "density": ("pace", -0.5),
+    "surface_tension": ("tension", 1.0),
+}
+"""Effect -> the entry that is multiplied by the exponential of its amplitude, times a power."""
+for _name, _entry in ADDED.items():
+    give_physics(_name, setting=partial(add_to_entry, _entry))
+for _name, (_entry, _power) in SCALED.items():
+    give_physics(_name, setting=partial(scale_entry, _entry, _power))
+give_physics("heat_exchange", setting=heat_exchange)
+give_physics("condensation", vapour=condensation)
+give_physics("gas_loss", gas_loss=gas_loss)
+give_physics("rinf_drift", gas_loss=rinf_drift)
+give_physics("sound_field", far_field=sound_field)
+give_physics("pulse", far_field=pulse)

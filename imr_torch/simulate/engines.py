@@ -10,13 +10,15 @@ and gives the same answer.
 
 import functools
 import warnings
+from dataclasses import KW_ONLY, dataclass, field
 from typing import ClassVar, Literal
 
 import torch
 from torch import Tensor
 
 from imr_torch.elementary import obstacle_of
-from imr_torch.errors import EngineWarning, InputDataError, check_at_least
+from imr_torch.errors import EngineWarning, check_at_least, check_choice
+from imr_torch.material import StressTerm
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.conditions import Conditions
 from imr_torch.simulate.sensitivity import differentiable
@@ -36,6 +38,7 @@ ENGINES = ("compiled", "torchdiffeq")
 """The names of the engines."""
 
 
+@dataclass(frozen=True)
 class EngineSimulator:
     """What both simulators share: a batch or bundles, checked, cut into blocks and integrated.
 
@@ -44,18 +47,16 @@ class EngineSimulator:
         member_bytes: memory of a member while tensors of it are integrated.
     """
 
-    conditions: Conditions
-    engine: Engine
-    threads: int | None
+    conditions: Conditions = field(default_factory=Conditions)
+    _: KW_ONLY
+    terms: tuple[StressTerm, ...] | None = None
+    engine: Engine = field(default="compiled", repr=False, compare=False)
+    threads: int | None = field(default=None, repr=False, compare=False)
     members: ClassVar[int]
     member_bytes: ClassVar[int]
 
     def __post_init__(self) -> None:
-        if self.engine not in ENGINES:
-            raise InputDataError(
-                f"{type(self).__name__}.engine is {self.engine!r}; expected one of "
-                f"{', '.join(ENGINES)}."
-            )
+        check_choice(self, "engine", ENGINES)
         check_at_least(self, 1, "threads", note=", or None for all cores")
 
     def __call__(

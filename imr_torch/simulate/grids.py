@@ -115,31 +115,28 @@ def _crowd_nodes(
     ``y``.
     """
     y = torch.tanh(stretch * eta) / math.tanh(stretch)
-    stretched = stretch / math.tanh(stretch) / torch.cosh(stretch * eta) ** 2
-    bend = -2.0 * stretch * torch.tanh(stretch * eta) * stretched
-    return (
-        y,
-        slope / stretched[:, None],
-        curvature / stretched[:, None] ** 2 - (bend / stretched**3)[:, None] * slope,
-    )
+    rate = math.tanh(stretch) / stretch * torch.cosh(stretch * eta) ** 2
+    bend = 2.0 * stretch * torch.tanh(stretch * eta) * rate
+    return y, *_map_derivatives(slope, curvature, rate, bend)
 
 
 def _map_outside(xi: Tensor, slope: Tensor, curvature: Tensor, reach: float) -> Grid:
     """Map derivatives in ``xi`` to ``y``, and drop infinity."""
-    keep = slice(0, len(xi) - 1)
-    xi = xi[keep]
-    slope = slope[keep, keep]
-    curvature = curvature[keep, keep]
-    y = 1.0 + reach * (1.0 - xi) / (1.0 + xi)
-    # d xi/dy, and its derivative in xi
-    rate, bend = (
-        -((1.0 + xi) ** 2) / (2.0 * reach),
-        -(1.0 + xi) / reach,
-    )
+    xi = xi[:-1]
+    rate = -((1.0 + xi) ** 2) / (2.0 * reach)
+    bend = -(1.0 + xi) / reach
+    mapped = _map_derivatives(slope[:-1, :-1], curvature[:-1, :-1], rate, bend)
+    return _make_grid(1.0 + reach * (1.0 - xi) / (1.0 + xi), *mapped)
+
+
+def _map_derivatives(
+    slope: Tensor, curvature: Tensor, rate: Tensor, bend: Tensor
+) -> tuple[Tensor, Tensor]:
+    """First and second derivative in ``y`` from those in the coordinate ``xi`` of a polynomial: with
+    ``rate = d xi/dy`` and ``bend``, its derivative in ``xi``.
+    """
     first = rate[:, None] * slope
-    return _make_grid(
-        y, first, rate[:, None] * (bend[:, None] * slope + rate[:, None] * curvature)
-    )
+    return first, rate[:, None] * (bend[:, None] * slope + rate[:, None] * curvature)
 
 
 def _make_grid(y: Tensor, first: Tensor, second: Tensor) -> Grid:

@@ -13,7 +13,6 @@ from jaxtyping import Float
 from torch import Tensor
 from torchdiffeq import odeint
 
-from imr_torch.material import StressTerm
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.clock import (
     bracket_times,
@@ -22,8 +21,8 @@ from imr_torch.simulate.clock import (
     memory_share,
     time_per_tick,
 )
-from imr_torch.simulate.conditions import Conditions, Stepping, compression_of
-from imr_torch.simulate.engines import Engine, EngineSimulator, can_compile
+from imr_torch.simulate.conditions import Stepping, compression_of
+from imr_torch.simulate.engines import EngineSimulator, can_compile
 from imr_torch.simulate.simulator import RUNAWAY, Simulator, Status
 from imr_torch.simulate.wall import Head, gas_loss, move_wall, name_sonic, vapour_factor
 
@@ -50,11 +49,7 @@ class PolytropicSimulator(EngineSimulator):
     [1.0, 0.846, 0.418, 0.647]
     """
 
-    conditions: Conditions = field(default_factory=Conditions)
     stepping: Stepping = field(default_factory=Stepping)
-    terms: tuple[StressTerm, ...] | None = None
-    engine: Engine = field(default="compiled", repr=False, compare=False)
-    threads: int | None = field(default=None, repr=False, compare=False)
 
     physics = "polytropic"
     members = 2000  # larger batches leave the cache of a processor

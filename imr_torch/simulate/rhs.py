@@ -115,7 +115,7 @@ class Equations:
         state[self.gel.stop :] = self.bubbles.memory_start()
         return state
 
-    def fields(self, state: BubbleStates, time: BubbleValues | None = None) -> Fields:
+    def fields(self, state: BubbleStates, time: BubbleValues) -> Fields:
         """Temperatures, slopes and the pressure's rate at a state.
 
         ``time`` (``B``) matters where the far field is driven.
@@ -149,8 +149,7 @@ class Equations:
             wet[1:],
             laplacians[:, 1],
         )
-        moment = radius if time is None else time
-        whole = Head(moment, radius, velocity, pressure + b.constant_vapour, rate, memory)
+        whole = Head(time, radius, velocity, pressure + b.constant_vapour, rate, memory)
         point = Point(
             radius, velocity, pressure, rate, wall, heat[0], wet[0], outer_slope[0]
         )

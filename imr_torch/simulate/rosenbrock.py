@@ -81,7 +81,7 @@ def rosenbrock_step(
     equations: Equations,
     state: BubbleStates,
     step: BubbleValues,
-    time: BubbleValues | None = None,
+    time: BubbleValues,
 ) -> tuple[BubbleStates, BubbleStates]:
     """Advance every member by its own step of Rodas4P.
 
@@ -94,8 +94,7 @@ def rosenbrock_step(
     Returns:
         The state after the step, and an estimate of its error.
     """
-    moment = torch.zeros_like(step) if time is None else time
-    fields = equations.fields(state, moment)
+    fields = equations.fields(state, time)
     jacobian, velocity_time = linearise_equations(equations, fields)
     inverse_step = (1.0 / step).repeat(equations.rows, 1)
     inverse_step[3] = 0.0  # tau_w is algebraic
@@ -113,7 +112,7 @@ def rosenbrock_step(
                 2, *state.shape
             )
             argument = state + offset
-            right = equations.rate(equations.fields(argument, moment + moved * step))
+            right = equations.rate(equations.fields(argument, time + moved * step))
             right.addcmul_(coupling, inverse_step)
         right[1] += velocity_time * step * TIME_INCREMENTS[i]
         increments[i] = torch.linalg.lu_solve(factors, pivots, right.T[:, :, None])[

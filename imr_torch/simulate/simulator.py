@@ -218,15 +218,11 @@ def _solve_twins_once(
     zero is moved: that bubble is made once, for all of these times.
     """
     parameters, designs, times = (x.unflatten(0, (-1, width)) for x in block)
-    twins = (
-        (first, second)
-        for second in range(1, width)
-        for first in range(second)
-        if all(torch.equal(x[:, first], x[:, second]) for x in (parameters, designs))
-    )
-    first, second = next(twins, (0, 0))
-    later = times + (times[:, second] - times[:, first])[:, None]
-    later[:, first] = times[:, second]
+    bubbles = torch.cat((parameters, designs.to(parameters)), -1)
+    alike = (bubbles == bubbles[:, :1]).all(-1).all(0)
+    second = int(alike.nonzero()[:2][-1])  # the leader itself where it has no twin
+    later = times + (times[:, second] - times[:, 0])[:, None]
+    later[:, 0] = times[:, second]
     both, order = torch.cat((times, later), -1).sort(-1)
     if bool((both[..., 1:] <= both[..., :-1]).any()):  # no twins, or of the same times
         return solve(*block, width)
@@ -241,7 +237,7 @@ def _solve_twins_once(
         twin = own
         if own.ndim == 3:  # curves
             own, twin = own.gather(-1, places).chunk(2, -1)
-        rows = (own[:, :second], twin[:, first, None], own[:, second:])
+        rows = (own[:, :second], twin[:, :1], own[:, second:])
         return torch.cat(rows, 1).flatten(0, 1)
 
     radius, velocity, pressure, *status = map(with_twin, made)

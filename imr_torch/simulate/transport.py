@@ -14,11 +14,9 @@ from torch import Tensor
 from torchdiffeq import odeint
 
 from imr_torch.errors import InputDataError, check_at_least
-from imr_torch.material import StressTerm
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.clock import bracket_times, ends_of, hermite_cubic, hermite_quintic
-from imr_torch.simulate.conditions import Conditions
-from imr_torch.simulate.engines import Engine, EngineSimulator, can_compile
+from imr_torch.simulate.engines import EngineSimulator, can_compile
 from imr_torch.simulate.grids import Resolution
 from imr_torch.simulate.ode_method import CONTROL, NOT_FINITE, TransportField
 from imr_torch.simulate.rhs import Equations
@@ -94,11 +92,7 @@ class TransportSimulator(EngineSimulator):
     [1.0, 0.846, 0.419, 0.673]
     """
 
-    conditions: Conditions = field(default_factory=Conditions)
     accuracy: Accuracy = field(default_factory=Accuracy)
-    terms: tuple[StressTerm, ...] | None = None
-    engine: Engine = field(default="compiled", repr=False, compare=False)
-    threads: int | None = field(default=None, repr=False, compare=False)
 
     physics = "transport"
     members = 1000  # those that are done early are not replaced

@@ -32,7 +32,7 @@ from imr_torch.assimilate import ModelFit
 from imr_torch.errors import InputDataError
 from imr_torch.float64 import tensor, zeros
 from imr_torch.material import PARAMETERS, Effect
-from imr_torch.material.model_belief import LEVELS
+from imr_torch.material.model_belief import LEVELS, ModelBelief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.population.shared_value import ValueGrid
 from imr_torch.simulate import Simulator
@@ -50,7 +50,7 @@ from imr_torch.unknown.search import KindFit, KindSearch
 from imr_torch.unknown.shot import Path
 
 CLEAR = 0.95
-"""Probability from which on a hypothesis is the verdict."""
+"""Probability from which on something is said."""
 
 MATERIAL = "material"
 _SIZES = (0.0, *SIZES)
@@ -89,20 +89,18 @@ class CommonUnknown:
 
     @property
     def verdict(self) -> str:
-        """Of what has a probability of .95 or more the most that can be said: ``"one"``, ``"own"`` or
-        ``"law"``; ``"common"`` (one or both: what a linear step does not follow looks like an own
-        part) or ``"gels"`` (own or law); ``"none"``; else ``"undecided"``.
+        """``"common"``: one cause that is not the gel's is missing in all gels (whether each lacks
+        something of its own beside cannot be said, since what a linear step does not follow looks
+        like that); ``"none"``: nothing, or single shots differ; ``"not shown"``: a common cause is
+        improbable; or ``"undecided"``.
         """
         p = self.probabilities
-        likely = {
-            "one": p["one"],
-            "own": p["own"],
-            "law": p["law"],
-            "common": p["one"] + p["both"],
-            "gels": p["own"] + p["law"],
-            "none": p["nothing"] + p["shots"],
-        }
-        return next((name for name in likely if likely[name] >= CLEAR), "undecided")
+        common = p["one"] + p["both"]
+        if common >= CLEAR:
+            return "common"
+        if p["nothing"] + p["shots"] >= CLEAR:
+            return "none"
+        return "not shown" if common <= 1.0 - CLEAR else "undecided"
 
 
 Table = tuple[Float[Tensor, "drives owns columns columns"], Float[Tensor, "drives owns"]]
@@ -125,31 +123,21 @@ class FollowedGel:
 
     @classmethod
     def follow(
-        cls,
-        fit: ModelFit,
-        batch: ExperimentBatch,
-        simulator: Simulator,
-        *,
-        lead: Effect | None = None,
+        cls, base: ModelBelief, fit: ModelFit, batch: ExperimentBatch, simulator: Simulator
     ) -> "FollowedGel":
-        """About a fit of the base model, with an effect beside where one leads.
+        """About a fit of the base model, perhaps with an effect, which is held as it was fitted.
 
         Raises:
             InputDataError: where the bubbles cannot be simulated, or the data are not curves.
         """
-        if lead is not None:
-            prior = fit.prior
-            values = prior.to_si(fit.mean)[PARAMETERS.index(lead.names)].tolist()
-            known = dict(zip(lead.names, values, strict=True))
-            kept = [n for n, name in enumerate(prior.names) if name not in known]
-            held = replace(
-                prior,
-                marginals=tuple(prior.marginals[n] for n in kept),
-                mean=prior.mean[kept],
-                chol=prior.chol[kept][:, kept],
-                known={**prior.known, **known},
-            )
-            fit = replace(fit, prior=held, mean=fit.mean[kept])
+        names = fit.prior.names
+        values = fit.prior.to_si(fit.mean)[PARAMETERS.index(names)].tolist()
+        of_base = [name in base.names for name in names]
+        held = dict(zip(names, values, strict=True)) | base.known
+        for name in base.names:
+            del held[name]
+        prior = replace(base, model=fit.prior.model, known=held)
+        fit = replace(fit, prior=prior, mean=fit.mean[of_base])
         search = begin_search(fit, batch, simulator)
         if search is None:
             raise InputDataError(
@@ -284,11 +272,8 @@ def compare_unknowns(
     """Whether what several gels miss is common to them.
 
     Args:
-        gels: with one base model.
+        gels: two or more, with one base model.
         effects: of the library, that may be common or a gel's own as well.
-
-    Raises:
-        InputDataError: for fewer than two gels.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, wide_prior
@@ -305,14 +290,10 @@ def compare_unknowns(
     ...     shot = laboratory.shoot(torch.tensor([300.0, 0.2], dtype=torch.float64), seed=number)
     ...     batch = ExperimentBatch((shot,))
     ...     fit = fit_null(Inquiry(prior, batch, simulator), seed=0)
-    ...     gels.append(FollowedGel.follow(fit, batch, simulator))
+    ...     gels.append(FollowedGel.follow(prior, fit, batch, simulator))
     >>> compare_unknowns(gels).probabilities["own"] < 0.5
     True
     """
-    if len(gels) < 2:
-        raise InputDataError(
-            f"What is common is asked of {len(gels)} gel; give two or more."
-        )
     paths = [response.path for gel in gels for response in gel.followed.responses]
 
     def usual_stress(path: Path) -> Tensor:

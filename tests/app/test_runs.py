@@ -54,7 +54,7 @@ def finished(run: Run) -> None:
 
 
 def result_of(all_runs: Runs, name: str) -> Result:
-    return next(result for result in all_runs.list_results() if result.name == name)
+    return all_runs.list_results()[name]
 
 
 def wait_while(condition: Callable[[], object]) -> None:
@@ -74,7 +74,7 @@ def recorded(tmp_path: Path, name: str, record: str) -> Path:
 def test_that_a_refused_command_keeps_its_message(tmp_path):
     all_runs = runs(tmp_path)
     finished(begun(all_runs, lambda _: ["characterize", "files/none.csv"], "characterize"))
-    (result,) = all_runs.list_results()
+    (result,) = all_runs.list_results().values()
     assert (result.status, result.outcome) == (2, "the input cannot be used")
     assert "none.csv" in result.read_text_of("messages.txt")
 
@@ -104,12 +104,12 @@ def seen(tmp_path_factory):
     waiting = [result.name for result in all_runs.waiting]
     wait_while(lambda: first.part is None and first.is_alive())
     part = first.part
-    before = [result.name for result in all_runs.list_results()]
+    before = list(all_runs.list_results())
     all_runs.take_back(second)
     first.stop()
     finished(first)
     wait_while(lambda: all_runs.current or all_runs.waiting)
-    ended = {result.name: result.outcome for result in all_runs.list_results()}
+    ended = {name: x.outcome for name, x in all_runs.list_results().items()}
     return Seen(all_runs, part, waiting, before, ended, second.folder)
 
 
@@ -131,7 +131,7 @@ def test_that_a_run_leaves_its_files_output_and_record(seen):
     result = result_of(seen.runs, "007_simulate")
     assert result.status == 0
     assert "smallest sampled R*" in result.read_text_of("output.txt")
-    assert result.command.startswith("imr-torch simulate --model nhkv")
+    assert result.arguments[:3] == ("simulate", "--model", "nhkv")
     with zipfile.ZipFile(io.BytesIO(result.zip_files())) as file:
         assert {"007_simulate/simulate.json", "007_simulate/run.json"} <= set(
             file.namelist()
@@ -144,7 +144,7 @@ def test_that_a_run_goes_on_in_an_earlier_folder_where_it_is_told_to(seen):
     all_runs.add_run(simulate, "simulate", "results/007_simulate")
     assert all_runs.current is not None
     finished(all_runs.current)
-    assert sorted(result.name for result in all_runs.list_results()) == sorted(seen.ended)
+    assert sorted(all_runs.list_results()) == sorted(seen.ended)
 
 
 def test_that_a_run_stopped_before_it_began_leaves_no_trace_of_its_code(tmp_path):
@@ -152,7 +152,7 @@ def test_that_a_run_stopped_before_it_began_leaves_no_trace_of_its_code(tmp_path
     run = begun(all_runs, slow, "design")
     run.stop()
     finished(run)
-    (result,) = all_runs.list_results()
+    (result,) = all_runs.list_results().values()
     assert (result.outcome, "Traceback" in result.read_text_of("messages.txt")) == (
         "stopped",
         False,
@@ -165,7 +165,7 @@ def test_that_a_run_that_the_system_ended_is_not_called_stopped(tmp_path):
     run = begun(all_runs, slow, "design")
     os.kill(run._process.pid, signal.SIGKILL)
     finished(run)
-    (result,) = all_runs.list_results()
+    (result,) = all_runs.list_results().values()
     assert result.outcome == "ended by the system (signal 9); it may have run out of memory"
 
 
@@ -173,7 +173,7 @@ def test_that_a_run_that_ended_with_the_application_is_known_as_interrupted(tmp_
     record = '{"arguments": ["diagnose"], "started": "2026-01-01", "status": null}'
     recorded(tmp_path, "007_diagnose", record)
     all_runs = runs(tmp_path)
-    assert [result.outcome for result in all_runs.list_results()] == ["interrupted"]
+    assert [x.outcome for x in all_runs.list_results().values()] == ["interrupted"]
     assert all_runs.next_folder("design") == "results/008_design"
 
 
@@ -303,7 +303,7 @@ def test_that_the_shots_of_a_batch_are_rows_with_numbers_that_can_be_read(tmp_pa
     (folder / "batch.json").write_text(
         '{"shots": [{"shot": "a", "curves": 1, "G": 8123.456789}]}'
     )
-    (result,) = runs(tmp_path).list_results()
+    (result,) = runs(tmp_path).list_results().values()
     assert result.read_shots() == [{"shot": "a", "curves": 1, "G": 8123.0}]
 
 

@@ -8,7 +8,7 @@ from imr_torch import example_gel, load_traces
 from imr_torch.app.workspace import LARGEST_FILE, Workspace, check_name
 from imr_torch.errors import InputDataError
 from imr_torch.files import read_json
-from imr_torch.observe import prepare
+from imr_torch.observe import prepare, state
 from tests.refusals import refused
 
 
@@ -109,7 +109,9 @@ def test_that_a_curve_is_shown_as_the_commands_fit_it(tmp_path):
 def test_that_what_is_stated_is_what_the_commands_read(tmp_path):
     made = workspace(tmp_path)
     view = made.view_curve("shot_2", 2)
-    made.state_values(view, {"Rinf_m": 6e-5, "Rinf_sd_m": 1e-6})
+    state(
+        view.trace.source, "shot_2", {"Rinf_m": 6e-5, "Rinf_sd_m": 1e-6}, alone=view.alone
+    )
     assert made.view_curve("shot_2", 2).landmarks.rest_method == "as stated"
     (entry,) = [
         e
@@ -120,7 +122,7 @@ def test_that_what_is_stated_is_what_the_commands_read(tmp_path):
         "shot_2",
         {"Rinf_m": 6e-5, "Rinf_sd_m": 1e-6},
     )
-    made.state_values(made.view_curve("shot_2", 2), {"window_end_s": 1e-9})
+    state(view.trace.source, "shot_2", {"window_end_s": 1e-9}, alone=view.alone)
     broken = made.view_curve("shot_2", 2)
     assert broken.fitted is None
     assert "State a later window_end_s" in broken.report

@@ -260,7 +260,7 @@ test_that_bad_input_is_named = refusals(
     ),
     (
         lambda: Belief.prior({"qkv": {"mu": NHKV[1], "alpha": LAWS["alpha"][0]}}),
-        r"Model 'qkv' takes \['G'\] as known; give its value in SI units",
+        r"Model 'qkv' takes \['G'\] as known .*Give their values in SI units",
     ),
     (
         lambda: Belief.prior({"newtonian": {"mu": NHKV[1]}})["nhkv"],

@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.testing import assert_close
 
 from imr_torch.float64 import linspace, tensor
-from imr_torch.material import LogNormal, Marginal, Quantile, TruncatedNormal
+from imr_torch.material import LogNormal, Marginal, TruncatedNormal
 from imr_torch.material.marginals import MARGINALS, marginal_from_dict, marginal_to_dict
 from tests.refusals import refusals
 from tests.tables import for_each
@@ -30,10 +30,6 @@ def truncated(mean: float, sd: float, lower: float = -INF, upper: float = INF) -
     return Case(TruncatedNormal(mean, sd, lower, upper), law)
 
 
-def quantile_case(family: str, **arguments: float) -> Case:
-    return Case(Quantile(family, arguments), getattr(stats, family)(**arguments))
-
-
 CASES = {
     "unbounded": truncated(0.3, 2.0),
     "published G": truncated(15090.0, 4350.0, 0.0),
@@ -43,10 +39,6 @@ CASES = {
     "from above": truncated(2.0, 1.0, -INF, 1.5),
     "narrow": truncated(0.0, 1.0, 0.1, 0.1001),
     "wide log-normal": Case(LogNormal(5e3, 5.0), stats.lognorm(math.log(5.0), scale=5e3)),
-    "gamma": quantile_case("gamma", a=2.5, scale=3000.0),
-    "beta": quantile_case("beta", a=2.0, b=5.0),
-    "uniform": quantile_case("uniform", loc=500.0, scale=9500.0),
-    "student t": quantile_case("t", df=7.0, loc=1.0, scale=0.3),
     "narrow log-normal": Case(
         LogNormal(0.1, 1.05), stats.lognorm(math.log(1.05), scale=0.1)
     ),
@@ -60,18 +52,12 @@ def controls(values: list[float] = TAILS) -> Tensor:
 
 
 def quantile(marginal: Marginal, z: float) -> float:
-    """The value of the same probability as ``z`` by its closed form with 80 digits (SciPy's own tail is short of them).
-
-    Of a distribution without one, SciPy's from the nearer tail.
-    """
+    """The value of the same probability as ``z`` by its closed form with 80 digits (SciPy's own tail is short of them)."""
     mpmath.mp.dps = 80
     if isinstance(marginal, LogNormal):
         return float(
             mpmath.mpf(marginal.median) * mpmath.exp(mpmath.log(marginal.factor) * z)
         )
-    if isinstance(marginal, Quantile):
-        law = getattr(stats, marginal.family)(**marginal.arguments)
-        return float(law.ppf(stats.norm.cdf(z)) if z < 0.0 else law.isf(stats.norm.sf(z)))
     ends = [
         (mpmath.mpf(bound) - marginal.mean) / marginal.sd
         for bound in (marginal.lower, marginal.upper)
@@ -86,8 +72,6 @@ def scale(case: Case) -> float:
     this size.
     """
     marginal = case.marginal
-    if isinstance(marginal, Quantile):
-        return abs(float(case.law.mean())) + float(case.law.std())
     return (
         max(abs(marginal.mean), marginal.sd)
         if isinstance(marginal, TruncatedNormal)
@@ -212,14 +196,6 @@ test_that_bad_input_is_named = refusals(
     (lambda: LogNormal(1.0, 1.0), r"a spread needs a factor above 1"),
     (
         lambda: marginal_from_dict({"kind": "Gamma"}),
-        r"Unknown prior kind 'Gamma'; known are TruncatedNormal, LogNormal, Quantile",
-    ),
-    (
-        lambda: Quantile("poisson", {"mu": 1.0}),
-        r"scipy.stats has no continuous distribution named 'poisson'",
-    ),
-    (
-        lambda: Quantile("gamma", {"a": -1.0}),
-        r"scipy.stats.gamma has no median with \{'a': -1.0\}",
+        r"Unknown prior kind 'Gamma'; known are TruncatedNormal, LogNormal",
     ),
 )

@@ -153,7 +153,7 @@ def test_that_equal_ids_in_two_files_are_told_apart_by_the_files(tmp_path):
     traces = load_traces(one, two)
     assert traces.ids == ("one:a", "b", "two:a")
     assert any("experiment 'a' is named 'two:a'" in note for note in traces.notes)
-    assert (load_traces(one) + load_traces(two)).ids == traces.ids
+    assert TraceSet.join((load_traces(one), load_traces(two))).ids == traces.ids
 
 
 def test_that_equal_file_names_in_two_folders_are_told_apart_by_the_folders(tmp_path):
@@ -174,7 +174,7 @@ def test_that_a_trace_set_is_indexed_selected_and_added(tmp_path):
     traces = load_traces(written_curves(tmp_path / "x.csv", "a", "b", "c"))
     assert traces.select(["c", "a"]).ids == ("c", "a")
     assert traces["b"] is traces[1]
-    assert len(traces + TraceSet(())) == 3
+    assert len(TraceSet.join((traces, TraceSet(())))) == 3
     assert [t.experiment_id for t in traces] == ["a", "b", "c"]
     with refused("No experiment 'z' among the 3 loaded: a, b, c"):
         traces["z"]

@@ -12,6 +12,7 @@ from benchmarks.gap.single_curves import characterize_traces
 from benchmarks.spoilt_records import (
     BAD,
     FITS,
+    GOOD,
     SHOTS,
     film_bubble,
     judge_shots,
@@ -113,13 +114,14 @@ def test_a_wall_lengthens_the_chord():
     assert near.modulus < 0.0
 
 
-@pytest.mark.parametrize("kind", [kind for kind in SHOTS if kind != "good"])
+@pytest.mark.parametrize("kind", SHOTS)
 def test_one_bad_shot_of_eight_is_found_and_no_good_one(kind):
     odd = np.array(
         [judge_shots(kind, 1.5 * SHOTS[kind], seed, fit=False)["odd"] for seed in range(3)]
     )
-    assert odd[:, BAD].all()
-    assert odd.sum() == len(odd)
+    found = odd[:, BAD].sum()
+    assert found < 2 if kind in GOOD else found == 3  # by chance, where it is only noisier
+    assert odd.sum() == found
 
 
 def test_two_shots_cannot_outvote_each_other():

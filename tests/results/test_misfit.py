@@ -22,7 +22,7 @@ from imr_torch.results import (
     draw_figures,
     header,
 )
-from imr_torch.results.page import TITLES
+from imr_torch.results.page import KINDS
 from tests.refusals import refused
 from tests.results.documents import documented, traces
 
@@ -84,7 +84,7 @@ DOCUMENTS = {
 
 def test_that_every_kind_of_result_with_a_page_is_among_these():
     others = {"diagnose", "laboratory"}  # which tests/gap and tests/unknown read
-    assert {*TITLES} == {*DOCUMENTS} | others
+    assert {*KINDS} == {*DOCUMENTS} | others
 
 
 @pytest.mark.parametrize("kind", DOCUMENTS)

@@ -216,7 +216,7 @@ def test_that_energy_is_kept_when_the_heat_that_leaves_is_counted(vapour):
     states = path[accepted & (times <= 2.0), :-CONTROL]
     times = times[accepted & (times <= 2.0)]
     assert 1.9 < times[-1] < path[-1, -CONTROL]
-    fields = field.equations.fields(states.T).point
+    fields = field.equations.fields(states.T, times).point
     b, l = field.equations.bubbles, fields.radius / 0.45  # noqa: E741
     vapour_work = float(b.numbers.constant_vapour) * fields.radius**3 / 3.0
     stored = fields.pressure * fields.radius**3 / (3.0 * 0.4) - vapour_work

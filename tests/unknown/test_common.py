@@ -40,12 +40,12 @@ def test_that_the_evidence_of_an_effect_is_the_gaussian_integral_over_its_streng
 @pytest.mark.parametrize(
     ("effects", "tried", "said"),
     [
-        ([{"size_drag": 8e6}] * 2, ["size_drag"], {"one", "common"}),
-        ([{"size_drag": 8e6}] * 2, ["clock", "damage"], {"one", "common"}),
+        ([{"size_drag": 8e6}] * 2, ["size_drag"], {"common"}),
+        ([{"size_drag": 8e6}] * 2, ["clock", "damage"], {"common"}),
         (
             [{"size_drag": 1.2e7}, {"alpha": 0.4}],
             ["size_drag", "strain_stiffening"],
-            {"own"},
+            {"not shown"},
         ),
         ([{}, {}], ["size_drag", "damage"], {"none", "undecided"}),
     ],
@@ -69,8 +69,7 @@ def test_that_one_drag_is_common_and_other_effects_are_the_gels_own(effects, tri
     ("shares", "said"),
     [
         ({"one": 0.7, "both": 0.29, "own": 0.01}, "is missing in all of them; whether"),
-        ({"one": 0.96, "both": 0.04}, "One thing is missing in all gels"),
-        ({"own": 0.6, "law": 0.39, "one": 0.01}, "is of the gels"),
+        ({"own": 0.6, "law": 0.39, "one": 0.01}, "Nothing common is shown: what"),
         ({"nothing": 0.9, "shots": 0.1}, "No function and no effect is needed"),
         ({"own": 0.5, "one": 0.5}, "do not decide"),
     ],
@@ -84,7 +83,7 @@ def test_that_text_page_and_figure_say_the_verdict(shares, said):
     assert ("looks most like: a drag" in report) is (shares.get("one", 0.0) > 0.6)
     page = document_page(document)
     assert said.split(";")[0] in page
-    assert ('class="verdict warning"' in page) is (said == "do not decide")
+    assert ('class="verdict warning"' in page) is (said.startswith(("do", "Nothing")))
     assert [figure.name for figure in draw_figures(document)] == ["causes"]
 
 

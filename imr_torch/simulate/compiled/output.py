@@ -20,13 +20,13 @@ def push_node(node, nodes):
 
 @kernel
 def fill_curves(nodes, begin, times, curves):
-    """Radius and velocity at all times up to the last of two nodes.
+    """Radius, velocity and share of the step at all times up to the last of two nodes.
 
     Args:
         nodes: six numbers each, in the order of the rows above.
         begin: number of the first time that is not filled in yet.
         times: ``n_t`` times.
-        curves: receives ``R`` and ``U``, ``n_t`` numbers each.
+        curves: receives ``R``, ``U`` and the share of the step, ``n_t`` numbers each.
 
     Returns:
         Number of the first time after the node.
@@ -42,6 +42,7 @@ def fill_curves(nodes, begin, times, curves):
         curves[0, begin], curves[1, begin] = hermite_quintic(
             share, step, radius, velocity, force
         )
+        curves[2, begin] = share
         begin += 1
     return begin
 
@@ -63,6 +64,5 @@ def record_node(node, nodes, begin, second, times, curves):
     logarithm = (before[PRESSURE], after[PRESSURE])
     rate = (before[PRESSURE_RATE], after[PRESSURE_RATE])
     for j in range(begin, end):
-        share = (times[j] - before[TIME]) / step
-        curves[2, j] = np.exp(hermite_cubic(share, step, logarithm, rate))
+        curves[2, j] = np.exp(hermite_cubic(curves[2, j], step, logarithm, rate))
     return end

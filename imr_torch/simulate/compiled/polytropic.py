@@ -16,7 +16,7 @@ from imr_torch.simulate.conditions import compression_of
 from imr_torch.simulate.simulator import RUNAWAY, Status
 
 from . import laws
-from .output import TIME, VELOCITY, fill_curves, push_node
+from .output import VELOCITY, fill_curves, push_node
 from .wall import gas_loss, member_of, move_wall, name_sonic, vapour_factor
 
 _DONE = int(Status.DONE)
@@ -135,10 +135,8 @@ def integrate_bubble(batch, i, h, share, max_steps, work):
         if step > 0:
             begin = filled
             filled = fill_curves(nodes, filled, times, curves)
-            length = max(nodes[1, TIME] - nodes[0, TIME], 1e-300)
             for j in range(begin, filled):
-                share_after = (times[j] - nodes[0, TIME]) / length
-                left = gas_before + share_after * (state[gas] - gas_before)
+                left = gas_before + curves[2, j] * (state[gas] - gas_before)
                 curves[2, j] = contents_at(curves[0, j], curves[1, j], left, member)[0]
             gas_before = state[gas]
         if state[2] >= times[-1] and step > 0:  # output takes two nodes

@@ -16,11 +16,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from imr_torch.html import render
 from imr_torch.material import LIBRARY, MATERIALS, PARAMETERS, StressTerm
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.clock import memory_share
 from imr_torch.simulate.compiled import polytropic, step
-from imr_torch.simulate.compiled.address import write_law
 from imr_torch.simulate.compiled.algebra import pad_matrix
 from imr_torch.simulate.compiled.build import (
     Registry,
@@ -187,7 +187,9 @@ def _acting_parts(
 @functools.cache
 def locate_law(term: StressTerm) -> tuple[int, int, int]:
     """Addresses of a law for real and complex numbers, and its memory states; compiled if need be."""
-    module = load_generated(write_law(term), {"law": term.law}, name="law")
+    laws = {"law": term.law} | ({"excess": term.excess} if term.excess else {})
+    text = render("law.py.txt", term=term, PARAMETERS=PARAMETERS)
+    module = load_generated(text, laws, name="law")
     real, imaginary = (pointer.address for pointer in module.pointers)
     return real, imaginary, term.states
 

@@ -201,31 +201,21 @@ def motion_slopes(time, point, memory, member, slopes, memory_slopes, spare, mem
     moved = spare[0]
     rates = spare[1]
     nothing = complex(0.0, 0.0)
-    imaginary = complex(0.0, TINY)
     for k in range(states):
         moved[k] = memory[k]
     stress = (nothing, nothing, nothing)
     force = nothing
+    beside = member.b.constant_vapour
     for direction in range(5 + states):
-        r = point.radius + nothing
-        u = point.velocity + nothing
-        p = point.pressure + member.b.constant_vapour + nothing
-        q = point.rate + nothing
-        f = far + nothing
-        g = far_rate + nothing
-        if direction == 0:
-            r += imaginary
-        elif direction == 1:
-            u += imaginary
-        elif direction == 2:
-            p += imaginary
-        elif direction == 3:
-            q += imaginary
-        elif direction == 4:
-            f += far_rate * imaginary
-            g += far_bend * imaginary
-        else:
-            moved[direction - 5] += imaginary
+        ahead = TINY if direction == 4 else 0.0
+        r = complex(point.radius, TINY if direction == 0 else 0.0)
+        u = complex(point.velocity, TINY if direction == 1 else 0.0)
+        p = complex(point.pressure + beside, TINY if direction == 2 else 0.0)
+        q = complex(point.rate, TINY if direction == 3 else 0.0)
+        f = complex(far, far_rate * ahead)
+        g = complex(far_rate, far_bend * ahead)
+        if direction >= 5:
+            moved[direction - 5] += complex(0.0, TINY)
         if direction < 2 or direction >= 5:  # the gel feels R, U and its memory
             stress = stress_of(r, u, moved, rates, member)
             row = direction if direction < 2 else direction - 3
