@@ -133,9 +133,8 @@ class FollowedGel:
         names = fit.prior.names
         values = fit.prior.to_si(fit.mean)[PARAMETERS.index(names)].tolist()
         of_base = [name in base.names for name in names]
-        held = dict(zip(names, values, strict=True)) | base.known
-        for name in base.names:
-            del held[name]
+        held = dict(base.known)
+        held |= {n: x for n, x in zip(names, values, strict=True) if n not in base.names}
         prior = replace(base, model=fit.prior.model, known=held)
         fit = replace(fit, prior=prior, mean=fit.mean[of_base])
         search = begin_search(fit, batch, simulator)

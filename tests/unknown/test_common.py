@@ -47,7 +47,7 @@ def test_that_the_evidence_of_an_effect_is_the_gaussian_integral_over_its_streng
             ["size_drag", "strain_stiffening"],
             {"not shown"},
         ),
-        ([{}, {}], ["size_drag", "damage"], {"none", "undecided"}),
+        ([{}, {}], ["size_drag", "damage"], {"none", "not shown"}),
     ],
 )
 def test_that_one_drag_is_common_and_other_effects_are_the_gels_own(effects, tried, said):
