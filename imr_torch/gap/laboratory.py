@@ -79,10 +79,10 @@ def compare_gels(
         followed = []
         for inquiry, starts, fits in fitted:
             longer = inquiry.longer(Hypothesis(inquiry.base))
-            asked = {name: longer[name] for name in ahead if name not in fits}
+            asked = [longer[name] for name in dict.fromkeys(ahead) if name not in fits]
             fits |= fit_hypotheses(
                 inquiry,
-                list(asked.values()),
+                asked,
                 fits[NONE],
                 seed=seed,
                 starts=starts,

@@ -135,8 +135,15 @@ class FollowedGel:
         of_base = [name in base.names for name in names]
         held = dict(base.known)
         held |= {n: x for n, x in zip(names, values, strict=True) if n not in base.names}
-        prior = replace(base, model=fit.prior.model, known=held)
-        fit = replace(fit, prior=prior, mean=fit.mean[of_base])
+        rows = fit.chol[of_base]
+        fit = replace(
+            fit,
+            prior=replace(base, model=fit.prior.model, known=held),
+            mean=fit.mean[of_base],
+            chol=torch.linalg.cholesky(rows @ rows.mT),
+            nuisance_response=fit.nuisance_response[..., of_base],
+            near=None,
+        )
         search = begin_search(fit, batch, simulator)
         if search is None:
             raise InputDataError(
@@ -145,11 +152,6 @@ class FollowedGel:
             )
         paths = [response.path for response in search.responses]
         return cls(search, search.fit(function_of_time(paths)))
-
-    def stress_along(self, path: Path) -> Tensor:
-        """Stress of its base model along the path of any shot."""
-        gel = self.search.base.prior.to_si(self.search.base.mean)
-        return self.search.shots[0].stress_along(path, gel)
 
     def tabulate(
         self,
@@ -296,7 +298,10 @@ def compare_unknowns(
     paths = [response.path for gel in gels for response in gel.followed.responses]
 
     def usual_stress(path: Path) -> Tensor:
-        each = [gel.stress_along(path) for gel in gels]
+        each = [
+            search.shots[0].stress_along(path, search.base.prior.to_si(search.base.mean))
+            for search in (gel.search for gel in gels)
+        ]
         return torch.stack(each).square().mean(0).sqrt()
 
     functions: dict[str, Columns] = {
