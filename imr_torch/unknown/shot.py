@@ -18,7 +18,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.assimilate import Point, Posterior
-from imr_torch.float64 import arange, ones, tensor, zeros
+from imr_torch.float64 import arange, ones, tensor
 from imr_torch.material import (
     PARAMETERS,
     TERMS,
@@ -271,9 +271,7 @@ class Shot:
         rest = radius.new_tensor(experiment.design[1])
         surroundings = simulator.conditions.surroundings
         size = surroundings.max_radius(radius.new_tensor(experiment.design[0]))
-        path = Path(
-            times, radius, velocity, float(rest), float(size) / USUAL_SIZE, zeros(0)
-        )
+        path = Path(times, radius, velocity, float(rest), float(size) / USUAL_SIZE, radius)
         return replace(path, own_stress=self.stress_along(path, parameters))
 
     def stress_along(self, path: Path, parameters: Tensor) -> Fine:
