@@ -69,21 +69,26 @@ def _compare_files(args: Namespace) -> None:
     why = "has no effect beside --gels; leave one of them out."
     refuse_options(args, ("experiments", "heldout"), why)
     names = [Path(file).stem for file in args.files]
-    if len(set(names)) < max(2, len(names)):
+    if len(set(names)) < len(names):
         raise InputDataError(
             f"--gels takes each file as a gel, and got {', '.join(names)}; give two or more of "
             "different names."
         )
+    args.command = args.terminal.command = "laboratory"
+    terminal = args.terminal.plan_stages()
     each = [Namespace(**vars(args) | {"files": [file]}) for file in args.files]
     gels = {name: _read_files(own)[0] for name, own in zip(names, each, strict=True)}
     common = set.intersection(*(set(gel.effects) for gel in gels.values()))
     gels = {
-        name: replace(gel, effects=tuple(e for e in gel.effects if e in common))
+        name: replace(
+            gel,
+            effects=tuple(filter(common.__contains__, gel.effects)),
+            progress=lambda text, name=name: terminal(ProgressLine(text, step=name)),
+        )
         for name, gel in gels.items()
     }
     found = compare_gels(gels, estimate_noise=_estimates_noise(args), seed=args.seed)
     document = laboratory_document(names, found)
-    args.command = "laboratory"
     report_result(args, document | {"seconds": time.perf_counter() - started})
 
 

@@ -103,15 +103,13 @@ def laboratory_figures(document: Document) -> Iterator[NamedFigure]:
 def plot_common(causes: Sequence[Document]) -> Axes:
     """By how much one cause in all gels, and the same of each gel's own, explain them."""
     ax = new_axes((5.2, 0.9 + 0.3 * len(causes)))
-    places = np.arange(len(causes))
-    looks = (
+    names = [plain(cause["name"]) for cause in causes]
+    for name, color, marker, label in (
         ("own", SECOND, "s", "each gel its own"),
         ("one", MODEL, "o", "one in all gels"),
-    )
-    for name, color, marker, label in looks:
+    ):
         nats = [sum(cause["nats"][name]) for cause in causes]
-        ax.plot(nats, places, marker, color=color, label=label)
-    ax.set_yticks(places, [plain(cause["name"]) for cause in causes])
+        ax.plot(nats, names, marker, color=color, label=label)
     ax.axvline(0.0, color=DATA, lw=0.8)
     ax.invert_yaxis()
     ax.set(xlabel="nats better than without")

@@ -17,15 +17,18 @@ from imr_torch.random import child
 from imr_torch.threads import one_torch_thread
 from imr_torch.unknown import CommonUnknown, FollowedGel, compare_unknowns
 
+# effects of each gel that are fitted to all, so that trajectories follow the curves: at first those
+# that the gap test puts first, then those that explain it best about them
+_LEADS = 3
+_ROUNDS = 3  # of these, at most
+_GAIN = 10.0  # nats that an effect must gain to lead
+
 
 @one_torch_thread()
 def compare_gels(
     gels: Mapping[str, Inquiry],
     *,
     estimate_noise: bool = False,
-    leads: int = 3,
-    rounds: int = 3,
-    gain: float = 10.0,
     seed: int = 0,
 ) -> CommonUnknown:
     """Ask whether what several gels miss is common to them.
@@ -33,10 +36,6 @@ def compare_gels(
     Args:
         gels: name -> base model, data, simulator and effects of a gel, of all the same effects.
         estimate_noise: whether the noise of each gel is inferred.
-        leads: effects of each gel that are fitted to all, so that trajectories follow the curves: at
-            first those that the gap test puts first, then those that explain it best about them.
-        rounds: of these, at most.
-        gain: nats that an effect must gain to lead.
         seed: of the searches.
 
     Raises:
@@ -72,9 +71,10 @@ def compare_gels(
         null, inquiry = fit_base(gel, estimate_noise=estimate_noise, seed=own)
         left = inquiry.test(null, Hypothesis(inquiry.base), seed=own)
         names = [block.name for block in left.test.blocks if block.name in left.starts]
-        ahead += names[: leads * left.test.found]
+        ahead += names[: _LEADS * left.test.found]
         fitted.append((inquiry, left.starts, {NONE: null}))
     options = SearchOptions(starts=2, iterations=30, basin_rounds=0)
+    rounds = 0
     while True:
         followed = []
         for inquiry, starts, fits in fitted:
@@ -91,7 +91,7 @@ def compare_gels(
             )
             # with an effect, a search may lead to collapses that none reaches without
             fit = min(
-                fits.values(), key=lambda fit: fit.cost + gain * (fit is not fits[NONE])
+                fits.values(), key=lambda fit: fit.cost + _GAIN * (fit is not fits[NONE])
             )
             followed.append(
                 FollowedGel.follow(inquiry.base, fit, inquiry.batch, inquiry.simulator)
@@ -101,8 +101,8 @@ def compare_gels(
         ahead = [
             cause.name
             for gel in range(len(gels))
-            for cause in sorted(known, key=lambda cause: -cause.nats["own"][gel])[:leads]
+            for cause in sorted(known, key=lambda cause: -cause.nats["own"][gel])[:_LEADS]
         ]
-        rounds -= 1
-        if rounds <= 0 or set(ahead) <= set(fitted[0][2]):
+        rounds += 1
+        if rounds == _ROUNDS or set(ahead) <= set(fitted[0][2]):
             return found

@@ -29,9 +29,8 @@ class RecordOptions:
         beyond: frames by which a curve is continued: the level of the chord lies between two.
         cycles: that are described.
         odd: prior probability that a shot stands out in one quantity.
-        odd_noisy: the same where its error is more than ``noisy`` times that of the shots in the
-            middle: a bad focus makes noise that hides what else it does.
-        noisy: see there.
+        odd_noisy: the same where its error is more than twice that of the shots in the middle: a bad
+            focus makes noise that hides what else it does.
         wide: standard deviation of shots that stand out, over that of the others.
         scatter: of the shots of a set that a prior takes for likely: of the chord, of the skewness,
             and of the viscosity over its median.
@@ -53,7 +52,6 @@ class RecordOptions:
     cycles: int = 3
     odd: float = 0.1
     odd_noisy: float = 0.3
-    noisy: float = 2.0
     wide: float = 5.0
     scatter: tuple[float, float, float] = (0.01, 0.01, 0.15)
     odd_weight: float = 0.001

@@ -5,6 +5,7 @@ import torch
 from torch.distributions import MultivariateNormal
 
 from imr_torch.cli import main
+from imr_torch.files import example_gel
 from imr_torch.float64 import eye, randn, zeros
 from imr_torch.gap import compare_gels, library
 from imr_torch.gap.document import laboratory_document
@@ -90,7 +91,7 @@ def test_that_text_page_and_figure_say_the_verdict(shares, said):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["gel.csv"], "give two or more of different names"),
+        ([str(example_gel())], "give two or more"),
         (["gel.csv", "other/gel.csv"], "give two or more of different names"),
         (["gel.csv", "b.csv", "--heldout", "x"], "--heldout has no effect beside --gels"),
     ],
