@@ -169,25 +169,31 @@ class History:
         match event:
             case {"event": "start" | "stop"}:
                 pass
-            case {"event": "ask", "design": design, "search": search, **others}:
-                proposal = Proposal(design=tensor(design), **others)
-                self.asked[proposal.step] = Ask(proposal, search)
-            case {"event": "failed", "step": step}:
+            case {
+                "event": "ask",
+                "step": int(step),
+                "design": [float(), float()] as design,
+                "search": search,
+                **others,
+            }:
+                self.asked[step] = Ask(Proposal(step, tensor(design), **others), search)
+            case {"event": "failed", "step": int(step)}:
                 if ask := self.asked.get(step):
                     ask.failures += 1
                     if ask.failures == 2:
                         self.moved[step].append(ask.proposal.design)
-            case {"event": "observed", "experiments": records}:
+            case {"event": "observed", "step": int(), "experiments": records}:
                 for record in records:
-                    self.told[record["number"]] = journal.restore_curves(record)
+                    self.told[int(record["number"])] = journal.restore_curves(record)
             case {
                 "event": "learnt",
-                "step": step,
+                "step": int(step),
+                "experiments": numbers,
                 "belief": belief,
                 "evidence": rows,
                 "noise": noise,
                 "finding": finding,
-            }:
+            } if self.told.keys() >= set(numbers):
                 self.steps.append(
                     Step(
                         Belief.from_dict(belief),

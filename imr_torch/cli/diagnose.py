@@ -66,8 +66,11 @@ def _estimates_noise(args: Namespace) -> bool:
 def _compare_files(args: Namespace) -> None:
     """Ask of gels, a file each, whether what they miss is common."""
     started = time.perf_counter()
-    why = "has no effect beside --gels; leave one of them out."
-    refuse_options(args, ("experiments", "heldout"), why)
+    refuse_options(
+        args,
+        ("experiments", "heldout"),
+        "has no effect beside --gels; leave one of them out.",
+    )
     names = [Path(file).stem for file in args.files]
     if len(set(names)) < len(names):
         raise InputDataError(
@@ -76,8 +79,10 @@ def _compare_files(args: Namespace) -> None:
         )
     args.command = args.terminal.command = "laboratory"
     terminal = args.terminal.plan_stages()
-    each = [Namespace(**vars(args) | {"files": [file]}) for file in args.files]
-    gels = {name: _read_files(own)[0] for name, own in zip(names, each, strict=True)}
+    gels = {
+        name: _read_files(Namespace(**vars(args) | {"files": [file]}))[0]
+        for name, file in zip(names, args.files, strict=True)
+    }
     common = set.intersection(*(set(gel.effects) for gel in gels.values()))
     gels = {
         name: replace(

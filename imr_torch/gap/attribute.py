@@ -317,13 +317,12 @@ def _conclude(
     find_winner = partial(_find_winner, inquiry, held, hypotheses, fits, evidence, left_out)
     leader = find_winner((), seed)
     alike = {n: x for n, x in evidence.items() if n in found.alike}
-    own = child(seed, "evidence")
     checked = check_evidence(
         fits,
         alike,
         batch,
         inquiry.simulator,
-        seed=own,
+        seed=child(seed, "evidence"),
         progress=within(inquiry.progress, _OF_FITS, 1.0, name="evidence by draws"),
     )
     if checked and all(found.reliable for found in checked.values()):

@@ -110,7 +110,7 @@ def plot_common(causes: Sequence[Document]) -> Axes:
     ):
         nats = [sum(cause["nats"][name]) for cause in causes]
         ax.plot(nats, names, marker, color=color, label=label)
-    ax.axvline(0.0, color=DATA, lw=0.8)
+    ax.axvline(color=DATA)
     ax.invert_yaxis()
     ax.set(xlabel="nats better than without")
     add_legend(ax)

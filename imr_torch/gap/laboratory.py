@@ -73,7 +73,6 @@ def compare_gels(
         names = [block.name for block in left.test.blocks if block.name in left.starts]
         ahead += names[: _LEADS * left.test.found]
         fitted.append((inquiry, left.starts, {NONE: null}))
-    options = SearchOptions(starts=2, iterations=30, basin_rounds=0)
     rounds = 0
     while True:
         followed = []
@@ -86,7 +85,7 @@ def compare_gels(
                 fits[NONE],
                 seed=seed,
                 starts=starts,
-                options=options,
+                options=SearchOptions(starts=2, iterations=30, basin_rounds=0),
                 twice=0,
             )
             # with an effect, a search may lead to collapses that none reaches without

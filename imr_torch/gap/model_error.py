@@ -113,10 +113,9 @@ def model_error(report: GapReport, *, seed: int = 0) -> ModelError:
     levels = part.physical(torch.cat(rows).quantile(tensor(LEVELS), dim=0))
     line = report.left.line
     square = float(line.residual[: line.batch.mask.numel()].square().sum())
-    frames = int(report.batch.mask.sum())
     return ModelError(
         dict(zip(part.names, levels.mT.tolist(), strict=True)),
-        math.sqrt(max(square - frames, 0.0)),
+        math.sqrt(max(square - int(report.batch.mask.sum()), 0.0)),
     )
 
 
@@ -210,8 +209,7 @@ def _with_unknown(
     Misfit that even the best of them leaves counts as noise.
     """
     places = [(report.null, report.left, 0.0)]
-    beside = math.log(PRIOR_TWO)
-    places += [(step.winner_fit, step.left, beside) for step in report.steps]
+    places += [(step.winner_fit, step.left, math.log(PRIOR_TWO)) for step in report.steps]
     budgets = [
         (fit, prior, missing_system(left, inside=inside).solve(size))
         for fit, left, prior in places

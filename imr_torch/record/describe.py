@@ -231,8 +231,9 @@ def odd_probabilities(
     if known.sum() < FEWEST:
         return found
     x = values[known]
-    noisy = sds[known] > 2.0 * np.median(sds[known])
-    before = np.where(noisy, options.odd_noisy, options.odd)
+    before = np.where(
+        sds[known] > 2.0 * np.median(sds[known]), options.odd_noisy, options.odd
+    )
     size = np.log(sizes[known] / np.median(sizes[known]))
     reach = 3.0 * np.hypot(scatter, 1.5 * np.median(abs(x - np.median(x))))
     centre, change, spread = np.meshgrid(

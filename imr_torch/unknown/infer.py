@@ -150,7 +150,7 @@ def infer_unknown(
     >>> unknown.explained > 10.0, unknown.probabilities["camera"] < 0.01
     (True, True)
     """
-    search = begin_search(fit, batch, simulator, sizes=sizes, rounds=rounds)
+    search = begin_search(fit, batch, simulator, sizes, rounds)
     if search is None:
         return None
     paths = [response.path for response in search.responses]
@@ -193,7 +193,6 @@ def begin_search(
     fit: ModelFit,
     batch: ExperimentBatch,
     simulator: Simulator,
-    *,
     sizes: Sequence[float] = SIZES,
     rounds: int = 8,
 ) -> KindSearch | None:
