@@ -59,7 +59,7 @@ SETS: dict[str, str] = {name: own["medium"] for name, own in KNOWN["sets"].items
 BASE = "nhkv"
 SEED = 0
 REST = (0.2, 0.08)  # assumed R_inf/Rmax of a record without a tail
-JUDGING = Noise(scale=0.004, slope=0.0, drift=0.0, floor=1.0, kink=0.15 / 0.004)
+JUDGING = Noise(scale=0.004, slope=0.0, drift=0.0, floor=1.0, jitter=0.15 / 0.004)
 _DROP_BEHIND = 50.0  # nats by which a model must be behind to be left there
 
 

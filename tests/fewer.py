@@ -12,6 +12,6 @@ def sum_few_deviations(patch: pytest.MonkeyPatch) -> None:
     they cost a fraction; the whole grid is tested where the noise is what is asked for.
     """
     few = partial(
-        FrameNoisePrior, amounts=(1.0, 4.0, 16.0), durations=(0.3,), kinks=(0.15,)
+        FrameNoisePrior, amounts=(1.0, 4.0, 16.0), durations=(0.3,), jitters=(0.15,)
     )
     patch.setattr(noise_estimation, "FrameNoisePrior", few)

@@ -6,7 +6,12 @@ from imr_torch.assimilate.en4dvar import assimilate_en4dvar
 from imr_torch.assimilate.ensemble import EnsembleAnalysis, analyse_ensemble
 from imr_torch.assimilate.fit import Assimilation, Certificate, ModelFit, Verdict
 from imr_torch.assimilate.forward import ForwardModel, Point
-from imr_torch.assimilate.frame_noise import FIRST_KINK, FrameNoise, infer_frame_noise
+from imr_torch.assimilate.frame_noise import (
+    FIRST_JITTER,
+    FrameNoise,
+    frame_motions,
+    infer_frame_noise,
+)
 from imr_torch.assimilate.gauss_newton import NormalEquations, normal_equations
 from imr_torch.assimilate.importance import ImportanceSample
 from imr_torch.assimilate.map_fit import assimilate
@@ -28,7 +33,7 @@ from imr_torch.assimilate.posterior import Neighbourhood, Posterior
 from imr_torch.assimilate.weighing import weigh
 
 __all__ = [
-    "FIRST_KINK",
+    "FIRST_JITTER",
     "NOISE_ROUNDS",
     "Assimilation",
     "Certificate",
@@ -53,6 +58,7 @@ __all__ = [
     "assimilate",
     "assimilate_en4dvar",
     "assimilate_estimating_noise",
+    "frame_motions",
     "infer_frame_noise",
     "noise_nodes",
     "normal_equations",

@@ -12,12 +12,12 @@ curves says.
 Where designs were repeated, the repeats decide: their deviations from their mean hold the camera's
 noise alone.
 
-The law is that of :class:`imr_torch.observe.Noise` with free proportions. Next to a collapse, where
-curves bend within few frames, the exposure, a small error of time, the threshold of the edge and a
-bubble that is no sphere move the radius frame by frame: the ``kink`` of the law. If such frames
-count like others a fit passes through them at any price, so fits whose noise is to be inferred
-begin with :data:`FIRST_KINK`. One curve whose noise is not that of the others gets a factor of its
-own.
+The law is that of :class:`imr_torch.observe.Noise` with free proportions. Where the bubble moves
+fast, next to a collapse above all, a small error of a frame's time moves the radius: the ``jitter``
+of the law. How far it moves is read off the fitted bubble (:func:`frame_motions`), since a collapse
+is shorter than the time between frames. If such frames count like others a fit passes through them
+at any price, so fits whose noise is to be inferred begin with :data:`FIRST_JITTER` and how much the
+measured curve bends. One curve whose noise is not that of the others gets a factor of its own.
 
 Intervals of the gel are another question. Fits take frames as independent, with what the model
 misses beside the noise of single frames, of one size in R* in all of them: so they pass through the
@@ -31,6 +31,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
+from numpy.polynomial.hermite_e import hermegauss
 
 from imr_torch.assimilate.noise_grid import FrameNoisePrior, NoiseGrid
 from imr_torch.assimilate.noise_law import (
@@ -41,10 +42,18 @@ from imr_torch.assimilate.noise_law import (
 )
 from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.float64 import ones
-from imr_torch.observe import CollapseTime, Experiment, ExperimentBatch, Noise, NoiseLaws
+from imr_torch.observe import (
+    CollapseTime,
+    Experiment,
+    ExperimentBatch,
+    Noise,
+    NoiseLaws,
+    predict,
+)
+from imr_torch.types import ExperimentFrames, FrameValues
 
-FIRST_KINK = 0.15
-"""Error of a frame over the bend of the curve there, before noise is inferred."""
+FIRST_JITTER = 0.15
+"""Error of a frame over how much the curve bends there, before noise is inferred."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +70,8 @@ class FrameNoise:
             above when not given.
         widened: factor by which 90 % intervals of the gel by that law are to be wider, for what
             residuals have in common; near 1 where the model explains the curves.
+        motions: of each experiment, how far the bubble moves from frame to frame; None where that
+            is read off the curve.
 
     >>> import torch
     >>> from dataclasses import replace
@@ -81,6 +92,7 @@ class FrameNoise:
     factor_sds: tuple[float, ...]
     independent: tuple[Noise, NoiseLaws] | None = None
     widened: float = 1.0
+    motions: tuple[FrameValues | None, ...] | None = None
 
     def for_fits(self, *, widen: bool) -> "FrameNoise":
         """The laws of independent residuals, enlarged if intervals are to be right.
@@ -97,18 +109,24 @@ class FrameNoise:
     def of_curve(self, number: int) -> "FrameNoise":
         """The noise of one of the curves."""
         return replace(
-            self, factors=(self.factors[number],), factor_sds=(self.factor_sds[number],)
+            self,
+            factors=(self.factors[number],),
+            factor_sds=(self.factor_sds[number],),
+            motions=self.motions and (self.motions[number],),
         )
 
     def applied(self, batch: ExperimentBatch) -> ExperimentBatch:
         """A batch of the same curves, perhaps with collapse times beside them, with this noise."""
-        factors = iter(zip(self.factors, self.factor_sds, strict=True))
+        motions = self.motions or (None,) * len(self.factors)
+        curves = iter(zip(self.factors, self.factor_sds, motions, strict=True))
         experiments: list[Experiment | CollapseTime] = []
         for experiment in batch.experiments:
             if isinstance(experiment, Experiment):
-                factor, sd = next(factors)
+                factor, sd, motion = next(curves)
                 experiments.append(
-                    replace(experiment, noise_factor=factor, noise_factor_sd=sd)
+                    replace(
+                        experiment, noise_factor=factor, noise_factor_sd=sd, motion=motion
+                    )
                 )
             else:
                 experiments.append(experiment)
@@ -149,6 +167,7 @@ def infer_frame_noise(
         law, laws = law_of_repeats([one.posterior.batch for one in fits], prior.law)
         alike = (1.0,) * len(curves), (0.0,) * len(curves)
         return FrameNoise(law, laws, *alike, *_of_all_residuals(fits, law, prior.missed))
+    fits = tuple(_with_motions(near) for near in fits)
     grid = NoiseGrid.of(fits, prior)
     factors = ones(len(curves))
     sds = torch.zeros_like(factors)
@@ -171,8 +190,70 @@ def infer_frame_noise(
     independent = grid.add_misfit(law, laws, factors)
     widened = interval_factor(fits, independent[0])
     return FrameNoise(
-        law, laws, tuple(factors.tolist()), tuple(sds.tolist()), independent, widened
+        law,
+        laws,
+        tuple(factors.tolist()),
+        tuple(sds.tolist()),
+        independent,
+        widened,
+        tuple(e.motion for near in fits for e in near.posterior.batch.curves),
     )
+
+
+def frame_motions(
+    near: Neighbourhood, *, jitter: float = 0.15, nodes: int = 5
+) -> ExperimentFrames:
+    """How far each fitted bubble moves from frame to frame, R*: the standard deviation of its radius
+    over normal errors of a frame's time, ``jitter`` of the spacing of frames, over ``jitter``.
+
+    Away from collapses that is the speed times the spacing. NaN for a bubble that failed.
+
+    Args:
+        near: one fitted point; its batch holds curves only.
+        jitter: size of the error for which it is right; beside a collapse it falls with the size.
+        nodes: of Gauss-Hermite quadrature.
+
+    >>> import torch
+    >>> from imr_torch import PolytropicSimulator, wide_prior
+    >>> from imr_torch.assimilate import Point, Posterior, frame_motions
+    >>> from imr_torch.observe import Experiment, ExperimentBatch
+    >>> times, radius = torch.tensor([[0.2, 0.4, 0.6], [0.98, 0.9, 0.77]], dtype=torch.float64)
+    >>> batch = ExperimentBatch((Experiment("shot 1", (400.0, 0.22), times, radius[None]),))
+    >>> posterior = Posterior(wide_prior(["nhkv"])["nhkv"], batch, PolytropicSimulator())
+    >>> near = posterior.neighbourhood(Point(torch.zeros(2, dtype=torch.float64), posterior.mean_nuisances()))
+    >>> [round(x, 2) for x in frame_motions(near)[0, 1:].tolist()], [round(x, 2) for x in near.centre[0].tolist()]
+    ([0.09, 0.17], [0.98, 0.91, 0.78])
+    """
+    posterior = near.posterior
+    batch = posterior.batch
+    errors, weights = (torch.from_numpy(x) for x in hermegauss(nodes))
+    spacings = torch.stack([e.times.diff().median() for e in batch.curves])
+    times = batch.times[..., None] + jitter * spacings[:, None, None] * errors
+    # not before the first frame, and no two alike
+    times = times.clamp_min(float(batch.times.min())) + 1e-9 * torch.arange(nodes)
+    rising, order = times.flatten(1).sort(1)
+    radius = predict(
+        posterior.simulator,
+        posterior.prior.to_si(near.point.gel),
+        batch,
+        near.point.nuisances * batch.nuisance_sds,
+        times=rising,
+    )
+    radius = radius.gather(1, order.argsort(1)).unflatten(1, (-1, nodes))
+    weights = weights / weights.sum()
+    mean = radius @ weights
+    return ((radius - mean[..., None]).square() @ weights).sqrt() / jitter
+
+
+def _with_motions(near: Neighbourhood) -> Neighbourhood:
+    """The same fit; each of its bubbles that can be followed moves as the fit says."""
+    batch = near.posterior.batch
+    experiments = tuple(
+        replace(e, motion=motion[: len(e.times)]) if motion.isfinite().all() else e
+        for e, motion in zip(batch.curves, frame_motions(near), strict=True)
+    )
+    batch = replace(batch, experiments=experiments)
+    return replace(near, posterior=replace(near.posterior, batch=batch))
 
 
 def _of_all_residuals(

@@ -14,7 +14,7 @@ import torch
 
 from imr_torch.assimilate.en4dvar import assimilate_en4dvar
 from imr_torch.assimilate.fit import Assimilation, ModelFit
-from imr_torch.assimilate.frame_noise import FIRST_KINK, infer_frame_noise
+from imr_torch.assimilate.frame_noise import FIRST_JITTER, infer_frame_noise
 from imr_torch.assimilate.map_fit import assimilate
 from imr_torch.assimilate.noise_grid import FrameNoisePrior
 from imr_torch.assimilate.noise_law import NoiseNodes
@@ -82,7 +82,7 @@ def assimilate_estimating_noise(
     """
     law = FrameNoisePrior(batch.noise)
     if rounds:
-        batch = replace(batch, noise=replace(batch.noise, kink=FIRST_KINK))
+        batch = replace(batch, noise=replace(batch.noise, jitter=FIRST_JITTER))
     options = options or SearchOptions()
 
     def fit_models(

@@ -36,12 +36,12 @@ class FrameNoisePrior:
             probabilities; 0 is noise that grows with time alone, infinity noise that grows with
             ``|R* - 1|`` alone.
         floors: constant parts at scale 1, R*.
-        level: prior median of the noise without its kink, root mean square over all frames in R*,
+        level: prior median of the noise without its jitter, root mean square over all frames in R*,
             and the standard deviation of its logarithm, which matters where there are few frames.
         few: frames in all below which the noise is no less than ``law``: amounts read off a handful
             of frames may be several times too small by chance.
         least: smallest constant part, R*: bubbles are not computed more exactly than that.
-        kinks: parts in proportion to the bend of the curve, of noise whose level is the prior
+        jitters: errors of the times of frames over their spacing, of noise whose level is the prior
             median, equally probable.
         exact: probability that there is none of that.
         amounts: standard deviation of the smooth deviation, over that of the noise.
@@ -76,7 +76,7 @@ class FrameNoisePrior:
     level: tuple[float, float] = (0.004, 1.5)
     few: int = 40
     least: float = 0.0003
-    kinks: tuple[float, ...] = (0.05, 0.15, 0.5, 1.5)
+    jitters: tuple[float, ...] = (0.05, 0.15, 0.5, 1.5)
     exact: float = 0.8
     amounts: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
     durations: tuple[float, ...] = (0.14, 0.3, 0.6, 1.2)
@@ -121,7 +121,7 @@ class FittedCurves:
         return tuple(found)
 
     def noise_variance(self, values: Tensor, factors: Tensor) -> Tensor:
-        """``J x E x T`` tensor, variance of the noise at scale 1, without its kink."""
+        """``J x E x T`` tensor, variance of the noise at scale 1, without its jitter."""
         laws, which = values[:, :3].unique(dim=0, return_inverse=True)
         slope, drift, floor = laws.T[..., None, None]
         grown = (
@@ -138,8 +138,8 @@ class FittedCurves:
         determinants, ``J x E``.
         """
         batch = self.near.posterior.batch
-        kink = values[:, 3, None, None] * batch.bends * factors[self.place, None]
-        noise = self.noise_variance(values, factors) + kink.square()
+        jitter = values[:, 3, None, None] * batch.motions * factors[self.place, None]
+        noise = self.noise_variance(values, factors) + jitter.square()
         smooth = values[:, 4].square() * level
         times = batch.times
         return matern_whitened(
@@ -175,7 +175,7 @@ class NoiseGrid:
     Args:
         curves: of each fit.
         prior: of the law.
-        laws: ``L x 4`` tensor: slope, drift, floor, kink; at scale 1.
+        laws: ``L x 4`` tensor: slope, drift, floor, jitter; at scale 1.
         deviations: ``D x 2`` tensor: amount and duration of the smooth deviation; the first is none.
         log_prior: ``J`` tensor.
     """
@@ -194,19 +194,19 @@ class NoiseGrid:
             (*_balance_law(prior.law, balance), floor, weight / len(prior.floors))
             for (balance, weight), floor in itertools.product(prior.balances, prior.floors)
         ]
-        shares = split_probability(prior.exact, len(prior.kinks))
-        kinks = list(zip((0.0, *prior.kinks), shares, strict=True))
-        of_laws, of_kinks, of_deviations = map(
-            tensor, (laws, kinks, _deviations(fits, prior))
+        shares = split_probability(prior.exact, len(prior.jitters))
+        jitters = list(zip((0.0, *prior.jitters), shares, strict=True))
+        of_laws, of_jitters, of_deviations = map(
+            tensor, (laws, jitters, _deviations(fits, prior))
         )
         level = _mean_variance(
             curves, of_laws, ones(sum(len(near.centre) for near in fits))
         ).sqrt()
-        own = level[:, None] / prior.level[0] * of_kinks[:, 0]
+        own = level[:, None] / prior.level[0] * of_jitters[:, 0]
         laws = torch.cat(
-            (of_laws[:, :3].repeat_interleave(len(kinks), 0), own.reshape(-1, 1)), 1
+            (of_laws[:, :3].repeat_interleave(len(jitters), 0), own.reshape(-1, 1)), 1
         )
-        shares = (of_laws[:, 3:] * of_kinks[:, 1]).reshape(-1, 1) * of_deviations[:, 2]
+        shares = (of_laws[:, 3:] * of_jitters[:, 1]).reshape(-1, 1) * of_deviations[:, 2]
         return cls(curves, prior, laws, of_deviations[:, :2], shares.log().flatten())
 
     @cached_property
@@ -284,7 +284,7 @@ class NoiseGrid:
         logs = []
         for c in self.curves:
             batch = c.near.posterior.batch
-            sd = law.sd(c.near.centre, batch.times, batch.bends) * batch.noise_factors
+            sd = law.sd(c.near.centre, batch.times, batch.motions) * batch.noise_factors
             logs.append(sd[c.rows].log())
         return torch.cat(logs).mean()
 
@@ -297,7 +297,7 @@ class NoiseGrid:
         tried = [law]
         for size in self.prior.misfits:
             tried.append(replace(law, floor=math.hypot(law.floor, size / law.scale)))
-        amounts = law.scale * tensor([(x.slope, x.drift, x.floor, x.kink) for x in tried])
+        amounts = law.scale * tensor([(x.slope, x.drift, x.floor, x.jitter) for x in tried])
         without_deviation = tensor([(0.0, 1.0)]).expand(len(tried), -1)
         values = torch.cat((amounts, without_deviation), 1)
         level = ones(len(tried))
@@ -333,7 +333,7 @@ class NoiseGrid:
             replace(
                 self.prior.law,
                 scale=math.exp(centre),
-                **dict(zip(("slope", "drift", "floor", "kink"), law, strict=True)),
+                **dict(zip(("slope", "drift", "floor", "jitter"), law, strict=True)),
             )
             for centre, law in zip(centres.tolist(), self.laws[kept].tolist(), strict=True)
         ]
@@ -351,7 +351,7 @@ class NoiseGrid:
 def _mean_variance(
     curves: Sequence[FittedCurves], values: Tensor, factors: Tensor
 ) -> Tensor:
-    """``J`` tensor, mean variance of the noise without its kink over the frames that are used."""
+    """``J`` tensor, mean variance of the noise without its jitter over the frames that are used."""
     sums = [(c.noise_variance(values, factors) * c.rows).sum((1, 2)) for c in curves]
     return torch.stack(sums).sum(0) / sum(c.rows.sum() for c in curves)
 

@@ -226,7 +226,7 @@ def _variances(near: Neighbourhood, law: Noise, drifting: Noise) -> tuple[float,
     batch = near.posterior.batch
     factors = batch.noise_factors / batch.counts.sqrt()
     sd, true_sd = (
-        noise.sd(near.centre, batch.times, batch.bends) * factors
+        noise.sd(near.centre, batch.times, batch.motions) * factors
         for noise in (law, drifting)
     )
     by_gel, by_nuisance = (

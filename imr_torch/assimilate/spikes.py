@@ -77,7 +77,7 @@ def without_spoilt_frames(
     if any(e.repeats > 1 for e in batch.curves):
         return batch
     # a spoilt frame is a bend too
-    law = replace(batch, noise=replace(batch.noise, kink=0.0)).sd(near.centre)
+    law = replace(batch, noise=replace(batch.noise, jitter=0.0)).sd(near.centre)
     bent = bends(batch, near.centre)
     kept = batch.mask.clone()
     for row in range(len(kept)):

@@ -10,7 +10,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from imr_torch.assimilate import FIRST_KINK, ModelFit, Posterior
+from imr_torch.assimilate import FIRST_JITTER, ModelFit, Posterior
 from imr_torch.assimilate.spikes import frames_left_out, without_spoilt_frames
 from imr_torch.errors import InputDataError
 from imr_torch.gap.adequacy import Adequacy
@@ -204,7 +204,7 @@ def fit_base(
     inquiry = replace(inquiry, simulator=fewer_steps(inquiry.simulator))
     if not estimate_noise:
         return fit_null(inquiry, seed=child(seed, "null")), inquiry
-    law = replace(inquiry.batch.noise, kink=FIRST_KINK)
+    law = replace(inquiry.batch.noise, jitter=FIRST_JITTER)
     inquiry = replace(inquiry, batch=replace(inquiry.batch, noise=law))
     null = fit_null(inquiry, seed=child(seed, "null"))
     near = Posterior(inquiry.base, inquiry.batch, inquiry.simulator).neighbourhood(

@@ -140,6 +140,7 @@ class CollapseTime:
     noise_factor = 1.0
     noise_factor_sd = 0.0
     weight = 1.0
+    motion = None
 
     label: str
     design: tuple[float, float]

@@ -44,6 +44,9 @@ class Experiment:
         noise_factor_sd: standard deviation of its logarithm.
         weight: how often its log likelihood counts; below 1 for a shot that stands out from its set
             (:meth:`imr_torch.record.Record.weighted`).
+        motion: how far the bubble moves from frame to frame, R*, as a fit says
+            (:func:`imr_torch.assimilate.frame_motions`); how much the curve bends
+            (:func:`imr_torch.observe.noise.frame_bends`) where there is none yet.
 
     >>> import torch
     >>> from imr_torch.observe import Experiment
@@ -63,6 +66,7 @@ class Experiment:
     noise_factor: float = 1.0
     noise_factor_sd: float = 0.0
     weight: float = 1.0
+    motion: FrameValues | None = None
 
     def __post_init__(self) -> None:
         for name in ("times", "radius"):
@@ -71,6 +75,11 @@ class Experiment:
             raise ShapeError(
                 f"Experiment {self.label!r}: expected radius n_repeats x n_t and times n_t, "
                 f"got {tuple(self.radius.shape)} and {tuple(self.times.shape)}."
+            )
+        if self.motion is not None and self.motion.shape != self.times.shape:
+            raise ShapeError(
+                f"Experiment {self.label!r}: expected the motion of {len(self.times)} frames, "
+                f"got {tuple(self.motion.shape)}."
             )
         check_designs(tensor([self.design]))
         infinite = torch.isinf(self.radius).nonzero().tolist()
@@ -130,7 +139,10 @@ class Experiment:
 
     def at(self, frames: Bool[Tensor, "frames"]) -> "Experiment":
         """The experiment at some of its frames (``n_t`` boolean tensor)."""
-        return replace(self, times=self.times[frames], radius=self.radius[:, frames])
+        motion = None if self.motion is None else self.motion[frames]
+        return replace(
+            self, times=self.times[frames], radius=self.radius[:, frames], motion=motion
+        )
 
 
 @dataclass(frozen=True)
@@ -294,7 +306,7 @@ class ExperimentBatch:
         rows = torch.multinomial(laws.weights, count, replacement=True, generator=generator)
         scales = laws.log_scale_sds[rows] * randn(count, generator=generator)
         each = [
-            law.sd(prediction, self.times, self.bends).log()
+            law.sd(prediction, self.times, self.motions).log()
             for law in (self.noise, *laws.laws)
         ]
         logs = (torch.stack(each[1:]) - each[0])[rows] + scales[:, None, None]
@@ -331,9 +343,14 @@ class ExperimentBatch:
         return _pad([e.mean for e in self.experiments])
 
     @cached_property
-    def bends(self) -> ExperimentFrames:
-        """How much the measured curves bend at each frame; 0 in the padding."""
-        return _pad([frame_bends(e.mean) for e in self.experiments])
+    def motions(self) -> ExperimentFrames:
+        """How far each bubble moves from frame to frame, R*; 0 in the padding."""
+        return _pad(
+            [
+                frame_bends(e.mean) if e.motion is None else e.motion
+                for e in self.experiments
+            ]
+        )
 
     @cached_property
     def counts(self) -> ExperimentFrames:
@@ -371,7 +388,7 @@ class ExperimentBatch:
 
     def sd(self, prediction: BatchFrames) -> BatchFrames:
         """Noise of one repeat at a prediction ``... x E x T``; 1 in the padding."""
-        noise = self.noise.sd(prediction, self.times, self.bends)
+        noise = self.noise.sd(prediction, self.times, self.motions)
         sd = torch.where(self.collapse[:, None], self._collapse_sds, noise)
         return torch.where(self.mask, sd * self.noise_factors, 1.0)
 

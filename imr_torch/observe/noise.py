@@ -37,20 +37,21 @@ TIE = 1e-6
 
 @dataclass(frozen=True)
 class Noise:
-    """Gaussian observation noise ``scale * sqrt((slope |R*-1| + drift t*)^2 + floor^2 + (kink
-    bend)^2)``, independent between repeats; ``bend`` is how much the curve bends at a frame
-    (:func:`frame_bends`).
+    """Gaussian observation noise ``scale * sqrt((slope |R*-1| + drift t*)^2 + floor^2 +
+    (jitter motion)^2)``, independent between repeats; ``motion`` is how far the bubble moves from
+    frame to frame (:attr:`imr_torch.observe.Experiment.motion`).
 
     Args:
         scale: common factor.
         floor: smallest standard deviation, in R*.
         slope: part in proportion to ``|R* - 1|``.
         drift: part in proportion to ``t*``.
-        kink: part in proportion to the bend, next to collapses, where the exposure, the time of a
-            frame, the threshold of the edge and a bubble that is no sphere move the radius.
+        jitter: part in proportion to the motion: the error of a frame's time over the spacing of
+            frames. Next to collapses the exposure, the threshold of the edge and a bubble that is
+            no sphere have the same effect.
         correlation_time: e-folding time of an exponential correlation within a curve, in t*; 0 for
             independent frames.
-        widened: factor, part of ``scale``, by which the noise but its kink was enlarged since a
+        widened: factor, part of ``scale``, by which the noise but its jitter was enlarged since a
             model misses the curves; 1 where none does.
 
     >>> import torch
@@ -65,7 +66,7 @@ class Noise:
     floor: float = 0.002
     slope: float = 1.0 / 50.0
     drift: float = 1.0 / 160.0
-    kink: float = 0.0
+    jitter: float = 0.0
     correlation_time: float = 0.0
     widened: float = 1.0
 
@@ -88,26 +89,26 @@ class Noise:
         return replace(self, scale=self.scale * factor)
 
     def enlarged(self, factor: float) -> "Noise":
-        """The law enlarged by a factor for what a model misses: all but its part next to collapses."""
+        """The law enlarged by a factor for what a model misses: all but its jitter."""
         return replace(
-            self, scale=self.scale * factor, kink=self.kink / factor, widened=factor
+            self, scale=self.scale * factor, jitter=self.jitter / factor, widened=factor
         )
 
     def sd(
         self,
         radius: BroadcastValues,
         times: BroadcastValues,
-        bends: BroadcastValues | None = None,
+        motions: BroadcastValues | None = None,
     ) -> BroadcastValues:
         """Standard deviation of one frame; arguments dimensionless and broadcastable.
 
-        ``bends`` are those of the radius itself where they are not given.
+        ``motions`` are the bends of the radius itself where they are not given.
         """
         law = self.slope * (radius - 1.0).abs() + self.drift * times.abs()
         variance = law.square() + self.floor**2
-        if self.kink:
-            bends = frame_bends(radius) if bends is None else bends
-            variance = variance + (self.kink * bends).square()
+        if self.jitter:
+            motions = frame_bends(radius) if motions is None else motions
+            variance = variance + (self.jitter * motions).square()
         return self.scale * variance.sqrt()
 
     def innovations(

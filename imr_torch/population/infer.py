@@ -22,7 +22,7 @@ from itertools import chain, combinations
 import torch
 
 from imr_torch.assimilate import (
-    FIRST_KINK,
+    FIRST_JITTER,
     NOISE_ROUNDS,
     Assimilation,
     FrameNoise,
@@ -113,7 +113,7 @@ def fit_shots(
         )
     belief = even_belief((prior,))
     law = noise or Noise()
-    first = replace(law, kink=FIRST_KINK) if rounds else law
+    first = replace(law, jitter=FIRST_JITTER) if rounds else law
     options = options or SearchOptions(starts=2)
     current = None
     fits = []

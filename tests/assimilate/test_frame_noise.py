@@ -11,7 +11,13 @@ import torch
 from numba import njit
 from scipy.stats import kstest
 
-from imr_torch.assimilate import FIRST_KINK, FrameNoisePrior, Posterior, infer_frame_noise
+from imr_torch.assimilate import (
+    FIRST_JITTER,
+    FrameNoisePrior,
+    Posterior,
+    frame_motions,
+    infer_frame_noise,
+)
 from imr_torch.assimilate.forward import Point
 from imr_torch.assimilate.matern import _compile_filter, _filter_curves, matern_whitened
 from imr_torch.assimilate.posterior import Neighbourhood
@@ -129,7 +135,7 @@ def test_that_curves_are_filtered_where_no_folder_can_be_written(monkeypatch):
         assert torch.equal(found, kept)
 
 
-FEW = FrameNoisePrior(durations=(0.3,), kinks=(0.15,), amounts=(1.0, 4.0))
+FEW = FrameNoisePrior(durations=(0.3,), jitters=(0.15,), amounts=(1.0, 4.0))
 """For replicates: the whole grid of deviations takes ten times as long."""
 LAWS = {
     "published": Noise(),
@@ -162,27 +168,54 @@ def test_that_the_law_is_recovered_at_other_frame_rates(spacing, largest):
     )
 
 
-def test_that_frames_next_to_collapses_have_noise_of_their_own_where_the_camera_gives_it():
-    """Taken for frames like the others, they make p-values where there is no gap a hundredth."""
+def test_that_how_far_a_bubble_moves_is_the_scatter_of_its_radius_over_errors_of_time():
+    batch = shoot(pixels(0.002))
+    place = near(batch)
+    times = batch.times[0]
+    late = 0.15 * 0.04 * randn(4000, len(times), generator=generator(1))
+    late = (times + late).abs()  # the bubble of the tests begins at its maximum
+    every, order = late.flatten().sort()
+    shot = Experiment("a", batch.curves[0].design, every, ones(1, len(every)))
+    seen = predict(
+        SIMULATOR,
+        BASE.to_si(place.point.gel),
+        ExperimentBatch((shot,)),
+        (place.point.nuisances * batch.nuisance_sds)[:1],
+    )[0]
+    scatter = seen[order.argsort()].unflatten(0, late.shape).std(0) / 0.15
+    motions = frame_motions(place)[0]
+    assert motions == pytest.approx(scatter, rel=0.12, abs=1e-3)
+    assert motions.max() > 0.1
 
-    def found(
+
+@pytest.mark.parametrize("seed", range(2))
+def test_that_errors_of_the_times_of_frames_are_recovered_and_make_no_gap(seed):
+    """Taken for frames like the others, fast ones make p-values a hundredth."""
+
+    def infer_jitter(
         jitter: float, prior: FrameNoisePrior, **effect: float
     ) -> tuple[float, float]:
-        batch = replace(
-            shoot(pixels(0.002), effect, jitter=jitter), noise=Noise(kink=FIRST_KINK)
-        )
+        batch = shoot(pixels(0.002), effect, jitter=jitter, seed=seed)
+        batch = replace(batch, noise=Noise(jitter=FIRST_JITTER))
         for _ in range(2):
             batch = infer_frame_noise(near(batch), prior).applied(batch)
         test = adequacy_test(fit(batch), (LIBRARY["wall"],), batch, SIMULATOR, seed=0).test
-        return batch.noise.scale * batch.noise.kink, test.p_value
+        return batch.noise.scale * batch.noise.jitter, test.p_value
 
-    kink, p = found(0.15, FrameNoisePrior())
-    assert 0.07 < kink < 0.3
-    assert p > 50.0 * found(0.15, FrameNoisePrior(kinks=(1e-9,)))[1]
-    assert found(0.15, FrameNoisePrior(), wall=0.2)[1] < 1e-3
-    kink, p = found(0.0, FrameNoisePrior())
-    assert kink < 0.02
+    jitter, p = infer_jitter(0.15, FrameNoisePrior())
+    assert 0.1 < jitter < 0.22
     assert p > LEVEL
+    assert infer_jitter(0.15, FrameNoisePrior(jitters=(1e-9,)))[1] < 0.01 * p
+    assert infer_jitter(0.15, FrameNoisePrior(), wall=0.2)[1] < 1e-3
+    jitter, p = infer_jitter(0.0, FrameNoisePrior())
+    assert jitter < 0.02
+    assert p > LEVEL
+
+
+def test_that_a_fit_that_failed_leaves_the_motion_as_the_curve_says():
+    place = near(shoot(pixels(0.002)))
+    lost = replace(place.point, gel=place.point.gel + 200.0)
+    assert infer_frame_noise(replace(place, point=lost)).motions == (None,) * 3
 
 
 def test_that_slow_noise_is_not_taken_for_that_of_single_frames():

@@ -27,7 +27,9 @@ BELIEF = Belief((PART,), zeros(1))
 
 def test_that_one_law_of_a_misfit_for_shots_of_different_gels_states_intervals_that_hold():
     inside: dict[str, list[bool]] = {"independent": [], "widened": []}
-    few = FrameNoisePrior(NOISE, amounts=(1.0, 4.0, 16.0), durations=(0.3,), kinks=(0.15,))
+    few = FrameNoisePrior(
+        NOISE, amounts=(1.0, 4.0, 16.0), durations=(0.3,), jitters=(0.15,)
+    )
     for seed in range(20):
         batch, gels = drifting(seed, alone=True)
         shots = [ExperimentBatch((shot,), NOISE) for shot in batch.experiments]
