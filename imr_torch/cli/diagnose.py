@@ -58,9 +58,20 @@ def _read_files(args: Namespace) -> tuple[Inquiry, GelMedium, Record]:
     return Inquiry(base, batch, medium.applied(simulator), effects), medium, record
 
 
+def _holds_sets(args: Namespace) -> bool:
+    """Whether the files are sets, with known noise, and not curves."""
+    sets = {name.lower().endswith(_SET) for name in args.files}
+    if len(sets) > 1:
+        raise InputDataError(
+            "Sets (.npz) and files of curves cannot be mixed: their noise is known differently."
+        )
+    return sets.pop()
+
+
 def _estimates_noise(args: Namespace) -> bool:
-    known_noise = "published" if args.files[0].lower().endswith(_SET) else "estimated"
-    return (args.noise or known_noise) == "estimated"
+    return (
+        args.noise or ("published" if _holds_sets(args) else "estimated")
+    ) == "estimated"
 
 
 def _compare_files(args: Namespace) -> None:
@@ -79,10 +90,12 @@ def _compare_files(args: Namespace) -> None:
         )
     args.command = args.terminal.command = "laboratory"
     terminal = args.terminal.plan_stages()
-    gels = {
-        name: _read_files(Namespace(**vars(args) | {"files": [file]}))[0]
+    _holds_sets(args)
+    read = {
+        name: _read_files(Namespace(**vars(args) | {"files": [file]}))
         for name, file in zip(names, args.files, strict=True)
     }
+    gels = {name: inquiry for name, (inquiry, _, _) in read.items()}
     common = set.intersection(*(set(gel.effects) for gel in gels.values()))
     gels = {
         name: replace(
@@ -93,7 +106,8 @@ def _compare_files(args: Namespace) -> None:
         for name, gel in gels.items()
     }
     found = compare_gels(gels, estimate_noise=_estimates_noise(args), seed=args.seed)
-    document = laboratory_document(names, found)
+    media = {name: medium.report() for name, (_, medium, _) in read.items()}
+    document = laboratory_document(media, found)
     report_result(args, document | {"seconds": time.perf_counter() - started})
 
 
@@ -192,8 +206,7 @@ def _load_experiments(
     left out is printed.
     """
     assumed = simulator.conditions.surroundings
-    sets = [name for name in args.files if name.lower().endswith(_SET)]
-    if not sets:
+    if not _holds_sets(args):
         traces = load_traces(*args.files, layout=args.layout, sort=args.sort)
         print(traces.report() + "\n")
         medium = medium_of(traces, args.medium, assumed)
@@ -205,17 +218,13 @@ def _load_experiments(
         )
         print(prepared.report() + "\n")
         return list(prepared.experiments), medium, traces
-    if len(sets) < len(args.files):
-        raise InputDataError(
-            "Sets (.npz) and files of curves cannot be mixed: their noise is known differently."
-        )
     refuse_options(
         args,
         ("layout", "rest_radius", "collapses"),
         "is about files of curves, and has no effect on sets; leave it out.",
     )
     medium = medium_of(TraceSet(()), args.medium, assumed)
-    loaded = {name: load_set(name, surroundings=medium.surroundings) for name in sets}
+    loaded = {name: load_set(name, surroundings=medium.surroundings) for name in args.files}
     named = [
         replace(e, label=f"{Path(name).stem} {e.label}") if len(loaded) > 1 else e
         for name, experiments in loaded.items()

@@ -6,7 +6,7 @@ with sentences; the page shows the same list.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from operator import attrgetter
@@ -249,22 +249,23 @@ def _missing(found: Unknown) -> Document:
     }
 
 
-def laboratory_document(names: Sequence[str], found: CommonUnknown) -> Document:
+def laboratory_document(media: Mapping[str, str], found: CommonUnknown) -> Document:
     """JSON-ready values of what several gels miss.
 
     Args:
-        names: of the gels.
+        media: gel -> what is known of its medium, in words.
         found: of :func:`imr_torch.gap.compare_gels`.
 
     >>> from imr_torch.gap.document import laboratory_document
     >>> from imr_torch.unknown import CommonUnknown
     >>> names = ("nothing", "shots", "own", "law", "one", "both")
     >>> found = CommonUnknown(dict.fromkeys(names, 0.0) | {"nothing": 1.0}, ())
-    >>> laboratory_document(["a", "b"], found)["verdict"]
+    >>> laboratory_document({"a": "", "b": ""}, found)["verdict"]
     'none'
     """
     return {
-        "gels": list(names),
+        "gels": list(media),
+        "media": dict(media),
         "verdict": found.verdict,
         "probabilities": found.probabilities,
         "causes": list(map(vars, found.causes)),

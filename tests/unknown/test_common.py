@@ -78,11 +78,14 @@ def test_that_one_drag_is_common_and_other_effects_are_the_gels_own(effects, tri
 def test_that_text_page_and_figure_say_the_verdict(shares, said):
     names = ("nothing", "shots", "own", "law", "one", "both")
     found = CommonUnknown(dict.fromkeys(names, 0.0) | shares, (DRAG,))
-    document = header("laboratory") | laboratory_document(["a", "b"], found)
+    media = {"a": "Medium: density 1030 kg/m^3 (stated).\nA note.", "b": "Medium: water."}
+    document = header("laboratory") | laboratory_document(media, found)
     report = document_report(document)
     assert said in report.splitlines()[0]
+    assert "  a: Medium: density 1030 kg/m^3 (stated).\n  b: Medium: water." in report
     assert ("looks most like: a drag" in report) is (shares.get("one", 0.0) > 0.6)
     page = document_page(document)
+    assert "A note." in page
     assert said.split(";")[0] in page
     assert ('class="verdict warning"' in page) is (said.startswith(("do", "Nothing")))
     assert [figure.name for figure in draw_figures(document)] == ["causes"]
@@ -94,6 +97,7 @@ def test_that_text_page_and_figure_say_the_verdict(shares, said):
         ([str(example_gel())], "give two or more"),
         (["gel.csv", "other/gel.csv"], "give two or more of different names"),
         (["gel.csv", "b.csv", "--heldout", "x"], "--heldout has no effect beside --gels"),
+        (["set.npz", "b.csv"], "Sets (.npz) and files of curves cannot be mixed"),
     ],
 )
 def test_that_gels_need_two_files_of_other_names(arguments, said, capsys):
