@@ -12,7 +12,6 @@ from benchmarks.gap.single_curves import characterize_traces
 from benchmarks.spoilt_records import (
     BAD,
     FITS,
-    GOOD,
     SHOTS,
     film_bubble,
     judge_shots,
@@ -120,7 +119,8 @@ def test_one_bad_shot_of_eight_is_found_and_no_good_one(kind):
         [judge_shots(kind, 1.5 * SHOTS[kind], seed, fit=False)["odd"] for seed in range(3)]
     )
     found = odd[:, BAD].sum()
-    assert found < 2 if kind in GOOD else found == 3  # by chance, where it is only noisier
+    # one that is only noisier may be taken for bad by chance
+    assert found in {"good": (0,), "noisier": (0, 1)}.get(kind, (3,))
     assert odd.sum() == found
 
 
