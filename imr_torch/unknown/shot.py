@@ -264,7 +264,7 @@ class Shot:
     def _path(self, simulator: Simulator, parameters: Tensor, shifts: Tensor) -> Path:
         experiment = self._experiment
         times = arange(0.0, float(experiment.times.max()), _FINE)
-        seen = replace(experiment, times=times, radius=ones(1, len(times)))
+        seen = replace(experiment, times=times, radius=ones(1, len(times)), motion=None)
         fine = replace(self.batch, experiments=(seen,))
         radius = predict(simulator, parameters, fine, shifts)[0]
         velocity = torch.gradient(radius, spacing=(times,))[0]
