@@ -19,7 +19,8 @@ UNSURE = Nuisance(max_radius=0.003, time_zero=0.004, rest_radius=0.01)
 
 def shot_of(simulator=SIMULATOR) -> Shot:
     batch = shoot({}, DESIGNS[:1], repeats=3)
-    return Shot(BASE, batch, simulator)
+    moving = tuple(replace(e, motion=torch.ones_like(e.times)) for e in batch.curves)
+    return Shot(BASE, replace(batch, experiments=moving), simulator)
 
 
 def at_truth(shot: Shot) -> tuple[torch.Tensor, torch.Tensor]:
