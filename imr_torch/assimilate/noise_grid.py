@@ -24,6 +24,7 @@ from imr_torch.assimilate.noise_law import (
 from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.float64 import ones, tensor, zeros
 from imr_torch.observe import Noise, NoiseLaws
+from imr_torch.observe.noise import SMALLEST
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,8 @@ class FrameNoisePrior:
         balances: factors on the published ratio of ``slope`` to ``drift``, with their
             probabilities; 0 is noise that grows with time alone, infinity noise that grows with
             ``|R* - 1|`` alone.
+        edge: part in proportion to 1/R* at scale 1, R*, of noise that grows so, and neither with
+            ``|R* - 1|`` nor with time; with its probability.
         floors: constant parts at scale 1, R*.
         level: prior median of the noise without its jitter, root mean square over all frames in R*,
             and the standard deviation of its logarithm, which matters where there are few frames.
@@ -72,6 +75,7 @@ class FrameNoisePrior:
         (3.0, 0.15),
         (math.inf, 0.1),
     )
+    edge: tuple[float, float] = (0.002, 0.1)
     floors: tuple[float, ...] = tuple(0.0005 * 2.0**k for k in range(8))
     level: tuple[float, float] = (0.004, 1.5)
     few: int = 40
@@ -122,14 +126,14 @@ class FittedCurves:
 
     def noise_variance(self, values: Tensor, factors: Tensor) -> Tensor:
         """``J x E x T`` tensor, variance of the noise at scale 1, without its jitter."""
-        laws, which = values[:, :3].unique(dim=0, return_inverse=True)
-        slope, drift, floor = laws.T[..., None, None]
-        grown = (
-            slope * (self.near.centre - 1.0).abs() + drift * self.near.posterior.batch.times
+        laws, which = values[:, :4].unique(dim=0, return_inverse=True)
+        slope, drift, floor, edge = laws.T[..., None, None]
+        radius = self.near.centre
+        grown = slope * (radius - 1.0).abs() + drift * self.near.posterior.batch.times
+        variance = (
+            grown.square() + floor.square() + (edge / radius.clamp_min(SMALLEST)).square()
         )
-        return ((grown.square() + floor.square()) * factors[self.place, None].square())[
-            which
-        ]
+        return (variance * factors[self.place, None].square())[which]
 
     def whiten_columns(
         self, values: Tensor, factors: Tensor, level: Tensor, columns: Tensor
@@ -138,12 +142,12 @@ class FittedCurves:
         determinants, ``J x E``.
         """
         batch = self.near.posterior.batch
-        jitter = values[:, 3, None, None] * batch.motions * factors[self.place, None]
+        jitter = values[:, 4, None, None] * batch.motions * factors[self.place, None]
         noise = self.noise_variance(values, factors) + jitter.square()
-        smooth = values[:, 4].square() * level
+        smooth = values[:, 5].square() * level
         times = batch.times
         return matern_whitened(
-            times, self.rows, noise, smooth, MATERN / values[:, 5], columns
+            times, self.rows, noise, smooth, MATERN / values[:, 6], columns
         )
 
     @cached_property
@@ -175,7 +179,7 @@ class NoiseGrid:
     Args:
         curves: of each fit.
         prior: of the law.
-        laws: ``L x 4`` tensor: slope, drift, floor, jitter; at scale 1.
+        laws: ``L x 5`` tensor: slope, drift, floor, edge, jitter; at scale 1.
         deviations: ``D x 2`` tensor: amount and duration of the smooth deviation; the first is none.
         log_prior: ``J`` tensor.
     """
@@ -190,9 +194,16 @@ class NoiseGrid:
     def of(cls, fits: Sequence[Neighbourhood], prior: FrameNoisePrior) -> "NoiseGrid":
         """The grid about fitted points."""
         curves = FittedCurves.of(fits, prior.frames)
+        edge, share = prior.edge
+        grown = [
+            (*_balance_law(prior.law, balance), 0.0, (1.0 - share) * weight)
+            for balance, weight in prior.balances
+        ]
         laws = [
-            (*_balance_law(prior.law, balance), floor, weight / len(prior.floors))
-            for (balance, weight), floor in itertools.product(prior.balances, prior.floors)
+            (slope, drift, floor, edge, weight / len(prior.floors))
+            for (slope, drift, edge, weight), floor in itertools.product(
+                [*grown, (0.0, 0.0, edge, share)], prior.floors
+            )
         ]
         shares = split_probability(prior.exact, len(prior.jitters))
         jitters = list(zip((0.0, *prior.jitters), shares, strict=True))
@@ -204,14 +215,14 @@ class NoiseGrid:
         ).sqrt()
         own = level[:, None] / prior.level[0] * of_jitters[:, 0]
         laws = torch.cat(
-            (of_laws[:, :3].repeat_interleave(len(jitters), 0), own.reshape(-1, 1)), 1
+            (of_laws[:, :4].repeat_interleave(len(jitters), 0), own.reshape(-1, 1)), 1
         )
-        shares = (of_laws[:, 3:] * of_jitters[:, 1]).reshape(-1, 1) * of_deviations[:, 2]
+        shares = (of_laws[:, 4:] * of_jitters[:, 1]).reshape(-1, 1) * of_deviations[:, 2]
         return cls(curves, prior, laws, of_deviations[:, :2], shares.log().flatten())
 
     @cached_property
     def values(self) -> Tensor:
-        """``J x 6`` tensor of laws and deviations."""
+        """``J x 7`` tensor of laws and deviations."""
         laws = self.laws.repeat_interleave(len(self.deviations), 0)
         return torch.cat((laws, self.deviations.repeat(len(self.laws), 1)), 1)
 
@@ -297,7 +308,9 @@ class NoiseGrid:
         tried = [law]
         for size in self.prior.misfits:
             tried.append(replace(law, floor=math.hypot(law.floor, size / law.scale)))
-        amounts = law.scale * tensor([(x.slope, x.drift, x.floor, x.jitter) for x in tried])
+        amounts = law.scale * tensor(
+            [(x.slope, x.drift, x.floor, x.edge, x.jitter) for x in tried]
+        )
         without_deviation = tensor([(0.0, 1.0)]).expand(len(tried), -1)
         values = torch.cat((amounts, without_deviation), 1)
         level = ones(len(tried))
@@ -333,7 +346,9 @@ class NoiseGrid:
             replace(
                 self.prior.law,
                 scale=math.exp(centre),
-                **dict(zip(("slope", "drift", "floor", "jitter"), law, strict=True)),
+                **dict(
+                    zip(("slope", "drift", "floor", "edge", "jitter"), law, strict=True)
+                ),
             )
             for centre, law in zip(centres.tolist(), self.laws[kept].tolist(), strict=True)
         ]

@@ -28,6 +28,9 @@ from imr_torch.types import (
 FEWEST_RESIDUALS = 10
 """Degrees of freedom that residuals must have for the noise to be estimated from them."""
 
+SMALLEST = 0.01
+"""R* below which the part of the edge grows no more."""
+
 WIDE = 1.05
 """Factor from which on it is said that noise counts as larger than it is."""
 
@@ -38,7 +41,7 @@ TIE = 1e-6
 @dataclass(frozen=True)
 class Noise:
     """Gaussian observation noise ``scale * sqrt((slope |R*-1| + drift t*)^2 + floor^2 +
-    (jitter motion)^2)``, independent between repeats; ``motion`` is how far the bubble moves from
+    (edge/R*)^2 + (jitter motion)^2)``, independent between repeats; ``motion`` is how far the bubble moves from
     frame to frame (:attr:`imr_torch.observe.Experiment.motion`).
 
     Args:
@@ -46,6 +49,7 @@ class Noise:
         floor: smallest standard deviation, in R*.
         slope: part in proportion to ``|R* - 1|``.
         drift: part in proportion to ``t*``.
+        edge: part in proportion to 1/R*, as the threshold makes it by which an edge is found.
         jitter: part in proportion to the motion: the error of a frame's time over the spacing of
             frames. Next to collapses the exposure, the threshold of the edge and a bubble that is
             no sphere have the same effect.
@@ -66,6 +70,7 @@ class Noise:
     floor: float = 0.002
     slope: float = 1.0 / 50.0
     drift: float = 1.0 / 160.0
+    edge: float = 0.0
     jitter: float = 0.0
     correlation_time: float = 0.0
     widened: float = 1.0
@@ -106,6 +111,8 @@ class Noise:
         """
         law = self.slope * (radius - 1.0).abs() + self.drift * times.abs()
         variance = law.square() + self.floor**2
+        if self.edge:
+            variance = variance + (self.edge / radius.clamp_min(SMALLEST)).square()
         if self.jitter:
             motions = frame_bends(radius) if motions is None else motions
             variance = variance + (self.jitter * motions).square()

@@ -212,6 +212,17 @@ def test_that_errors_of_the_times_of_frames_are_recovered_and_make_no_gap(seed):
     assert p > LEVEL
 
 
+@pytest.mark.parametrize("seed", [0, 2])
+def test_that_errors_that_grow_as_the_bubble_is_small_are_recovered(seed):
+    law = Noise(slope=0.0, drift=0.0, edge=0.0007)
+    batch = curves(law, seed=seed)
+    found = infer_frame_noise(near(batch)).applied(batch).noise
+    assert found.edge > 0.0
+    for radius in (tensor(1.0), tensor(0.1)):
+        ratio = found.sd(radius, tensor(1.0)) / law.sd(radius, tensor(1.0))
+        assert float(ratio) == pytest.approx(1.0, abs=0.3)
+
+
 def test_that_a_fit_that_failed_leaves_the_motion_as_the_curve_says():
     place = near(shoot(pixels(0.002)))
     lost = replace(place.point, gel=place.point.gel + 200.0)

@@ -42,6 +42,13 @@ def test_that_the_published_law_is_a_fiftieth_of_the_deflection_and_a_160th_of_t
     assert_close(sd, (law.square() + 0.002**2).sqrt(), rtol=1e-14, atol=0.0)
 
 
+def test_that_errors_of_the_edge_and_of_times_are_added_in_quadrature():
+    noise = Noise(scale=2.0, slope=0.0, drift=0.0, edge=0.001, jitter=0.1)
+    sd = noise.sd(tensor(1.0, 0.1), tensor(0.0, 1.0), tensor(0.0, 0.3))
+    expected = tensor(0.002**2 + 0.001**2, 0.002**2 + 0.01**2 + 0.03**2).sqrt()
+    assert_close(sd, 2.0 * expected, rtol=1e-14, atol=0.0)
+
+
 @ALL
 def test_that_a_draw_has_the_stated_mean_and_covariance(noise):
     times = frames()
