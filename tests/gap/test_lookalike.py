@@ -7,6 +7,7 @@ import math
 import pytest
 import torch
 
+from imr_torch.assimilate import Neighbourhood, Point, Posterior
 from imr_torch.float64 import full, linspace, ones, randn, tensor, zeros
 from imr_torch.gap.adequacy import Adequacy
 from imr_torch.gap.hypotheses import Hypothesis, laplace_evidence
@@ -30,7 +31,9 @@ def line(size: int = SIZE) -> Linearisation:
     batch = ExperimentBatch(
         (Experiment("blank", (400.0, 0.2), torch.arange(size - 1.0), blank),)
     )
-    return Linearisation(zeros(size), fitted, blank, blank, batch)
+    posterior = Posterior(BASE, batch, SIMULATOR)
+    near = Neighbourhood(posterior, Point(zeros(2), zeros(1, 3)), blank[None])
+    return Linearisation(zeros(size), fitted, near)
 
 
 def direction(degrees: float, *, absorbed: float = 0.0) -> torch.Tensor:
