@@ -16,6 +16,7 @@ from torch import Tensor
 # commands import imr_torch.progress itself, which loads no torch
 from imr_torch.progress import Progress as Progress
 from imr_torch.progress import ProgressLine as ProgressLine
+from imr_torch.progress import report_progress as report_progress
 from imr_torch.progress import within as within
 
 Members = Inexact[Tensor, "*#batch"]

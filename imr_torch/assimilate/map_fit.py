@@ -32,7 +32,7 @@ from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Progress, ProgressLine
+from imr_torch.types import Progress, report_progress
 
 
 @one_torch_thread()
@@ -157,8 +157,7 @@ class _Reports:
             )
             if self.masking:
                 part = 0.5 * (self.begun / count + part)
-        if self.progress:
-            self.progress(ProgressLine(text, step=step, part=part))
+        report_progress(self.progress, text, step=step, part=part)
 
     def report_iteration(self, end: Descent) -> None:
         """The line of an iteration of any search."""

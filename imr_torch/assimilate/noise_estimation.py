@@ -28,7 +28,7 @@ from imr_torch.observe.noise import FEWEST_RESIDUALS
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Progress, ProgressLine
+from imr_torch.types import Progress, report_progress
 
 NOISE_ROUNDS = 2
 """How often the noise of measured curves is estimated: from fits with the given law, and from fits with the first estimate."""
@@ -127,8 +127,7 @@ def assimilate_estimating_noise(
         batch = with_inferred_noise(
             scattered, result, law, simulator, widen=number == rounds
         )
-        if progress:
-            progress(ProgressLine(f"noise {batch.noise}", stage="noise"))
+        report_progress(progress, f"noise {batch.noise}", stage="noise")
         result = fit_models(batch, number, result)
     return result
 

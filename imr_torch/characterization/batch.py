@@ -36,7 +36,7 @@ from imr_torch.observe import Layout, Statement, TraceSet, find_files, load_trac
 from imr_torch.results import document_report
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Progress, ProgressLine
+from imr_torch.types import Progress, report_progress
 
 Pool = Executor | Callable[[], Executor]
 """What shots are handed to, or a function that makes it."""
@@ -269,9 +269,8 @@ def run_batch(
         with closing(finished):
             for number, (shot, document) in enumerate(finished, 1):
                 keep_result(shot, document)
-                if progress:
-                    text = f"{number} of {len(wanted)}: {shot.name} {rows[shot.name]['status']}"
-                    progress(ProgressLine(text, done=number, of=len(wanted)))
+                text = f"{number} of {len(wanted)}: {shot.name} {rows[shot.name]['status']}"
+                report_progress(progress, text, done=number, of=len(wanted))
     finally:
         summary = BatchSummary(tuple(filter(None, rows.values())))
         if summary.rows:

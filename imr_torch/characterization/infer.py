@@ -45,7 +45,7 @@ from imr_torch.select import evidences, update
 from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator
 from imr_torch.simulate.growth import check_reversible
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Progress, ProgressLine
+from imr_torch.types import Progress, report_progress
 
 
 @one_torch_thread()
@@ -206,9 +206,8 @@ def characterize(
     tested = None
     parts = None
     if check and len(traces):
-        if progress:
-            text = "fit test: does the model explain the curves?"
-            progress(ProgressLine(text, stage="fit test"))
+        text = "fit test: does the model explain the curves?"
+        report_progress(progress, text, stage="fit test")
         curves = weighted[best].of_curves(weighted.batch)
         tested = check_fit(*curves, simulator, seed=child(seed, "check"))
         parts = compare_parts(*curves, simulator)
@@ -227,8 +226,8 @@ def characterize(
             seed=own,
             progress=progress,
         )
-        if progress:
-            progress(ProgressLine("population: scatter of the gel", stage="population"))
+        text = "population: scatter of the gel"
+        report_progress(progress, text, stage="population")
         gels = infer_population(alone, seed=own)
     used = tuple(
         find_frame_use(

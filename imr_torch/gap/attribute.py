@@ -31,7 +31,7 @@ from imr_torch.gap.lookalike import Likeness, likeness
 from imr_torch.gap.verdict import CheckedEvidence, check_evidence, probabilities
 from imr_torch.goodness.score import GapTest
 from imr_torch.random import child
-from imr_torch.types import ProgressLine, within
+from imr_torch.types import report_progress, within
 
 _SCALES_OF_NOISE = 9  # over which probabilities are averaged where the noise was inferred
 _MOST_LEFT_OUT = 3  # hypotheses whose fits do not converge, before the best of the others is taken as it is
@@ -191,9 +191,12 @@ def fit_candidates(
     """
     longer = inquiry.longer(held)
     asked = [h for h in longer.values() if near is None or h.name in near]
-    if inquiry.progress:
-        text = f"attribution: {len(asked)} hypotheses"
-        inquiry.progress(ProgressLine(text, stage="effects", part=0.0))
+    report_progress(
+        inquiry.progress,
+        f"attribution: {len(asked)} hypotheses",
+        stage="effects",
+        part=0.0,
+    )
     alike = [h for h in asked if h.gels_differ is held.gels_differ]
     differing = [h for h in asked if h not in alike]
     together = replace(inquiry, progress=within(inquiry.progress, 0.0, _OF_ONE_GEL))
@@ -206,11 +209,12 @@ def fit_candidates(
     else:
         fits |= fit_from(together, alike, near, seed=seed, options=_FIT_NEAR)
     for hypothesis in differing:
-        if inquiry.progress:
-            text = "attribution: differences between shots"
-            inquiry.progress(
-                ProgressLine(text, step=in_words(GEL_SCATTER), part=_OF_ONE_GEL)
-            )
+        report_progress(
+            inquiry.progress,
+            "attribution: differences between shots",
+            step=in_words(GEL_SCATTER),
+            part=_OF_ONE_GEL,
+        )
         lowest = min(fit.cost for fit in fits.values())
         own = child(seed, "differing")
         if near is None:
