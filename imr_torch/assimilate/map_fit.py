@@ -26,8 +26,7 @@ from imr_torch.assimilate.options import SearchOptions
 from imr_torch.assimilate.posterior import Posterior
 from imr_torch.assimilate.starts import best_prior_draws, given_starts, starts_beside
 from imr_torch.errors import ConvergenceWarning
-from imr_torch.material import Belief
-from imr_torch.material.belief import even_belief
+from imr_torch.material import Belief, even_belief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator

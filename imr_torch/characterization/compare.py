@@ -24,8 +24,7 @@ from imr_torch.errors import InputDataError
 from imr_torch.files import Document
 from imr_torch.float64 import tensor
 from imr_torch.html import render
-from imr_torch.material import ModelBelief
-from imr_torch.material.model_belief import LEVELS
+from imr_torch.material import LEVELS, ModelBelief
 from imr_torch.population.result import DECISIVE
 from imr_torch.results import document_report
 from imr_torch.simulate.setting import OF_MEDIUM

@@ -21,8 +21,7 @@ from imr_torch.files import Document, drawn_numbers, without_nonfinite, write_js
 from imr_torch.gap import MediumSensitivity
 from imr_torch.goodness import FitTest, PartsTest
 from imr_torch.html import render
-from imr_torch.material import PARAMETERS, Belief
-from imr_torch.material.model_belief import intervals
+from imr_torch.material import PARAMETERS, Belief, intervals
 from imr_torch.observe import (
     CollapseTime,
     Experiment,

@@ -25,8 +25,14 @@ from imr_torch.document import header
 from imr_torch.errors import InputDataError
 from imr_torch.files import Document
 from imr_torch.float64 import linspace, tensor
-from imr_torch.material import PARAMETERS, Marginal, ModelBelief, TruncatedNormal
-from imr_torch.material.model_belief import LEVELS, intervals
+from imr_torch.material import (
+    LEVELS,
+    PARAMETERS,
+    Marginal,
+    ModelBelief,
+    TruncatedNormal,
+    intervals,
+)
 from imr_torch.population.shared_value import ValueGrid, raise_powers
 from imr_torch.results import document_report
 

@@ -30,8 +30,7 @@ from imr_torch.goodness.phases import PHASES, phase_numbers
 from imr_torch.goodness.score import ADEQUATE
 from imr_torch.html import render
 from imr_torch.labels import p_value
-from imr_torch.material import LIBRARY, PARAMETERS
-from imr_torch.material.model_belief import intervals
+from imr_torch.material import LIBRARY, PARAMETERS, intervals
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
 from imr_torch.unknown import CommonUnknown, Unknown

@@ -31,8 +31,7 @@ from imr_torch.assimilate.map_fit import assimilate_model
 from imr_torch.assimilate.starts import draw_perturbation
 from imr_torch.float64 import randn
 from imr_torch.gap.hypotheses import Hypothesis, Inquiry, overdispersion, scatters
-from imr_torch.material import Belief
-from imr_torch.material.belief import even_belief
+from imr_torch.material import Belief, even_belief
 from imr_torch.observe import NUISANCES, ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator, coarser

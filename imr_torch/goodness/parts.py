@@ -24,7 +24,7 @@ from imr_torch.float64 import linspace
 from imr_torch.goodness.linear import whiten_rows
 from imr_torch.goodness.phases import phase_clock
 from imr_torch.html import render
-from imr_torch.material.model_belief import intervals
+from imr_torch.material import intervals
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
 from imr_torch.types import FrameMask

@@ -18,9 +18,14 @@ from typing import Any
 
 from imr_torch.errors import InputDataError
 from imr_torch.html import render
-from imr_torch.material import Belief, Marginal, ModelBelief, TruncatedNormal
+from imr_torch.material import (
+    Belief,
+    Marginal,
+    ModelBelief,
+    TruncatedNormal,
+    add_parameters,
+)
 from imr_torch.material.media import named_medium
-from imr_torch.material.model_belief import add_parameters
 from imr_torch.reading.statement import PROPERTIES, Entry, Statement
 from imr_torch.simulate import Simulator
 from imr_torch.simulate.conditions import saturation_pressure

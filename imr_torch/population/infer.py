@@ -35,8 +35,7 @@ from imr_torch.assimilate import (
 from imr_torch.assimilate.noise_estimation import freedom_of
 from imr_torch.errors import InputDataError
 from imr_torch.float64 import tensor, zeros
-from imr_torch.material import LogNormal, ModelBelief
-from imr_torch.material.belief import even_belief
+from imr_torch.material import LogNormal, ModelBelief, even_belief
 from imr_torch.observe import Experiment, ExperimentBatch, Noise
 from imr_torch.observe.noise import FEWEST_RESIDUALS
 from imr_torch.population.closed_form import MOST

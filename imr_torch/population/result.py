@@ -15,8 +15,7 @@ from torch import Tensor
 
 from imr_torch.float64 import randn
 from imr_torch.html import render
-from imr_torch.material import PARAMETERS, LogNormal, ModelBelief, material
-from imr_torch.material.model_belief import intervals
+from imr_torch.material import PARAMETERS, LogNormal, ModelBelief, intervals, material
 from imr_torch.observe import Noise
 from imr_torch.population.likelihood import ShotLikelihood
 from imr_torch.population.sampling import WeightedPopulation

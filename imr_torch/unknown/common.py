@@ -31,8 +31,7 @@ from torch import Tensor
 from imr_torch.assimilate import ModelFit
 from imr_torch.errors import InputDataError
 from imr_torch.float64 import tensor, zeros
-from imr_torch.material import PARAMETERS, Effect
-from imr_torch.material.model_belief import LEVELS, ModelBelief
+from imr_torch.material import LEVELS, PARAMETERS, Effect, ModelBelief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.population.shared_value import ValueGrid
 from imr_torch.simulate import Simulator
