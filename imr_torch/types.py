@@ -91,8 +91,6 @@ DrawnValues = Float[Tensor, "draws"]
 DrawnControls = Float[Tensor, "draws controls"]
 """Draws of the free parameters of one model."""
 
-DatasetValues = Float[Tensor, "data"]
-"""A number of each simulated data set."""
 
 Directions = Float[Tensor, "_ rows"]
 """Directions in the whitened data, one a row."""

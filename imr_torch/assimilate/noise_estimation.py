@@ -43,9 +43,6 @@ def assimilate_estimating_noise(
     rounds: int,
     seed: int,
     options: FitOptions | None = None,
-    gradient: float = 0.3,
-    agreement: float = 1.0,
-    near: Assimilation | None = None,
     warn: bool = True,
     progress: Progress = None,
 ) -> Assimilation:
@@ -58,10 +55,8 @@ def assimilate_estimating_noise(
         rounds: how often the noise is estimated and the fits made again; with 0 it is as given.
         seed: of starts and ensembles.
         options: the method and its settings, :func:`assimilate` by default; tolerances are those of
-            the last fits.
-        gradient: tolerance of the gradient of all fits but the last, posterior standard deviations.
-        agreement: their tolerance of the agreement of starts, nats.
-        near: fits of the same belief and experiments, with other noise or frames, to start from.
+            the last fits, others end at a gradient of .3 posterior standard deviations and where
+            starts agree within a nat.
         warn: as for :func:`assimilate`, of the last fits.
         progress: called with one line per iteration.
 
@@ -102,8 +97,8 @@ def assimilate_estimating_noise(
             )
         rough = replace(
             options,
-            gradient=max(options.gradient, gradient),
-            agreement=max(options.agreement, agreement),
+            gradient=max(options.gradient, 0.3),
+            agreement=max(options.agreement, 1.0),
             basin_rounds=0 if number else options.basin_rounds,  # searched before and after
         )
         return assimilate(
@@ -117,7 +112,7 @@ def assimilate_estimating_noise(
             progress=progress,
         )
 
-    result = fit_models(batch, 0, near)
+    result = fit_models(batch, 0, None)
     if rounds:
         kept = without_spoilt_frames(result.lowest.linearise(result.batch, simulator))
         if kept is not result.batch:

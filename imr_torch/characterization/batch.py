@@ -27,13 +27,15 @@ from pathlib import Path
 
 from imr_torch.assimilate import FitOptions
 from imr_torch.characterization import characterize
-from imr_torch.characterization.saved import SavedCharacterization, write_xlsx
-from imr_torch.document import header
+from imr_torch.characterization.saved import (
+    ReportedResult,
+    SavedCharacterization,
+    write_xlsx,
+)
 from imr_torch.errors import ImrError, InputDataError, in_one_line
 from imr_torch.files import Document, read_json, write_bytes, write_json
 from imr_torch.material import PARAMETERS, Belief
 from imr_torch.observe import Layout, Statement, TraceSet, find_files, load_traces
-from imr_torch.results import document_report
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
 from imr_torch.types import Progress, report_progress
@@ -141,7 +143,7 @@ class Shot:
 
 
 @dataclass(frozen=True)
-class BatchSummary:
+class BatchSummary(ReportedResult):
     """One row per shot.
 
     Args:
@@ -158,6 +160,8 @@ class BatchSummary:
     (1, ('shot', 'status', 'G', 'error'))
     """
 
+    command = "batch"
+
     rows: tuple[Document, ...]
 
     @property
@@ -173,10 +177,6 @@ class BatchSummary:
     def to_dict(self) -> Document:
         """JSON-ready values, from which page and report are made."""
         return {"shots": [dict(row) for row in self.rows]}
-
-    def report(self) -> str:
-        """How many shots have a result, and why others have none, as text."""
-        return document_report(header("batch") | self.to_dict())
 
     def to_csv(self) -> str:
         """The rows as CSV with a header; numbers keep every bit."""

@@ -20,8 +20,7 @@ from torch import Tensor
 from torch.special import ndtri
 
 from imr_torch.characterization.compare import CLEAR, list_cautions
-from imr_torch.characterization.saved import SavedCharacterization
-from imr_torch.document import header
+from imr_torch.characterization.saved import ReportedResult, SavedCharacterization
 from imr_torch.errors import InputDataError
 from imr_torch.files import Document
 from imr_torch.float64 import linspace, tensor
@@ -34,14 +33,13 @@ from imr_torch.material import (
     intervals,
 )
 from imr_torch.population.shared_value import ValueGrid, raise_powers
-from imr_torch.results import document_report
 
 NODES = linspace(0.0025, 0.9975, 200)
 """Probabilities of the quantiles over which a gel's other parameters are integrated."""
 
 
 @dataclass(frozen=True)
-class SharedParameter:
+class SharedParameter(ReportedResult):
     """A parameter that gels of one laboratory share. Intervals are 5, 50 and 95 % quantiles, SI.
 
     Args:
@@ -65,6 +63,8 @@ class SharedParameter:
     'undecided'
     """
 
+    command = "compare"
+
     parameter: str
     interval: list[float]
     log_evidences: dict[str, float]
@@ -84,10 +84,6 @@ class SharedParameter:
         """The hypothesis with a probability of 97.5 % or more, or ``"undecided"``."""
         clear = [name for name, share in self.probabilities.items() if share >= CLEAR]
         return clear[0] if clear and not self.misfits else "undecided"
-
-    def report(self) -> str:
-        """What was found as text."""
-        return document_report(header("compare") | self.to_dict())
 
     def to_dict(self) -> Document:
         """JSON-ready values."""

@@ -342,10 +342,9 @@ class _Fold:
         for hypothesis, fit in known:
             beside = _APART * randn(_OPTIONS.starts - 1, len(fit.mean), generator=source)
             gels = torch.cat((fit.mean[None], fit.mean + beside))
-            nuisances = fit.nuisances[self.kept].expand(len(gels), -1, -1)
             fits[hypothesis.name] = assimilate_model(
                 Posterior(fit.prior, hypothesis.seen(self.training), self.simulator),
-                Point(gels, nuisances),
+                Point(gels, fit.nuisances[self.kept]),
                 seed=seed,
                 options=_OPTIONS,
             )
