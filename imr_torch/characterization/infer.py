@@ -28,7 +28,6 @@ from imr_torch.goodness import check_fit, compare_parts, follow_gel
 from imr_torch.material import Belief, wide_prior
 from imr_torch.observe import (
     CollapseShot,
-    Experiment,
     ExperimentBatch,
     GelMedium,
     Noise,
@@ -197,24 +196,17 @@ def characterize(
     posterior = update(weighted, evidence)
     best = posterior.best.model
     fitted = prepared.experiments
-    prepared = replace(
-        prepared,
-        experiments=tuple(
-            e for e in weighted.batch.experiments if isinstance(e, Experiment)
-        ),
-    )
-    tested = None
-    parts = None
-    if check and len(traces):
-        text = "fit test: does the model explain the curves?"
-        report_progress(progress, text, stage="fit test")
+    prepared = replace(prepared, experiments=weighted.batch.curves)
+    tested = parts = stretches = gels = None
+    if len(traces):
         curves = weighted[best].of_curves(weighted.batch)
-        tested = check_fit(*curves, simulator, seed=child(seed, "check"))
-        parts = compare_parts(*curves, simulator)
-    stretches = None
-    if over_time and len(traces):
-        stretches = follow_gel(*weighted[best].of_curves(weighted.batch), simulator)
-    gels = None
+        if check:
+            text = "fit test: does the model explain the curves?"
+            report_progress(progress, text, stage="fit test")
+            tested = check_fit(*curves, simulator, seed=child(seed, "check"))
+            parts = compare_parts(*curves, simulator)
+        if over_time:
+            stretches = follow_gel(*curves, simulator)
     if population:
         own = child(seed, "population")
         alone = fit_shots(
