@@ -35,7 +35,7 @@ from imr_torch.material import LEVELS, PARAMETERS, Effect, ModelBelief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.population.shared_value import ValueGrid
 from imr_torch.simulate import Simulator
-from imr_torch.unknown.infer import CAMERA, SIZES, begin_search
+from imr_torch.unknown.infer import CAMERA, begin_search
 from imr_torch.unknown.kinds import (
     Columns,
     camera_errors,
@@ -45,7 +45,7 @@ from imr_torch.unknown.kinds import (
     function_of_time,
     material_state,
 )
-from imr_torch.unknown.search import KindFit, KindSearch
+from imr_torch.unknown.search import SIZES, KindFit, KindSearch
 from imr_torch.unknown.shot import Path
 
 CLEAR = 0.95
