@@ -35,7 +35,7 @@ from imr_torch.goodness.score import (
 from imr_torch.material import Effect
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
-from imr_torch.types import Directions
+from imr_torch.types import Directions, Values
 
 _ROUNDS = 2
 _FARTHEST_GEL = 1.0
@@ -140,7 +140,7 @@ def refitted_directions(
 
 def log_p_values(
     blocks: Sequence[Block], rows: Float[Tensor, "*batch rows"]
-) -> list[Float[Tensor, "*batch"]]:
+) -> list[Values]:
     """Log p-values of residuals by each block that has a direction left.
 
     Args:

@@ -14,7 +14,7 @@ from torch import Tensor
 from imr_torch.assimilate import ModelFit
 from imr_torch.errors import InputDataError
 from imr_torch.float64 import eye, tensor, zeros
-from imr_torch.types import Controls
+from imr_torch.types import Controls, Nuisances
 from imr_torch.unknown.kinds import Columns
 from imr_torch.unknown.linear import LinearSystem
 from imr_torch.unknown.shot import Response, Shot
@@ -30,7 +30,7 @@ class State:
     """
 
     gel: Controls
-    nuisances: Float[Tensor, "experiments nuisances"]
+    nuisances: Nuisances
     weights: Float[Tensor, "weights"]
     made: tuple[Tensor, ...]
     inside: bool = True
