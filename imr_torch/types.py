@@ -94,6 +94,8 @@ DrawnControls = Float[Tensor, "draws controls"]
 
 Directions = Float[Tensor, "_ rows"]
 """Directions in the whitened data, one a row."""
+DirectionsByName = dict[str, Directions]
+"""Directions of each of several effects, or of other things that have a name."""
 
 Coordinates = Float[Tensor, "coordinates"]
 """The free parameters of one model and the nuisances of its experiments, as one vector."""

@@ -17,7 +17,7 @@ from imr_torch.document import header, is_explained
 from imr_torch.errors import InputDataError, UnsupportedError
 from imr_torch.files import Document, read_json, write_atomically
 from imr_torch.float64 import tensor
-from imr_torch.material import PARAMETERS, Belief
+from imr_torch.material import PARAMETERS, Belief, Intervals
 from imr_torch.types import DrawnControls, DrawnValues
 
 if TYPE_CHECKING:
@@ -150,7 +150,7 @@ class SavedCharacterization:
         """Whether the most probable model explains the curves; None where that was not tested."""
         return is_explained(self.document)
 
-    def intervals(self, model: str | None = None) -> dict[str, list[float]]:
+    def intervals(self, model: str | None = None) -> Intervals:
         """Parameter -> [5 %, 50 %, 95 %] quantile of a model (the most probable when not given),
         SI.
         """

@@ -27,6 +27,7 @@ from imr_torch.float64 import linspace, tensor
 from imr_torch.material import (
     LEVELS,
     PARAMETERS,
+    Intervals,
     Marginal,
     ModelBelief,
     TruncatedNormal,
@@ -223,7 +224,7 @@ def _choose_models(
 
 def _follow_shared(
     part: ModelBelief, mean: Tensor, covariance: Tensor, at: Tensor
-) -> dict[str, list[float]]:
+) -> Intervals:
     """Intervals of a gel's parameters, from moments of the shared coordinate and the controls, for
     quantiles of the shared coordinate.
     """

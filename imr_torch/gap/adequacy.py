@@ -35,7 +35,7 @@ from imr_torch.goodness.score import (
 from imr_torch.material import Effect
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
-from imr_torch.types import Directions, Values
+from imr_torch.types import DirectionsByName, Values
 
 _ROUNDS = 2
 _FARTHEST_GEL = 1.0
@@ -62,10 +62,10 @@ class Adequacy:
     test: GapTest
     starts: dict[str, tuple[tuple[float, ...], ...]]
     line: Linearisation
-    directions: dict[str, Directions]
+    directions: DirectionsByName
     effects: tuple[Effect, ...]
-    beside: dict[str, Directions]
-    generic: dict[str, Directions]
+    beside: DirectionsByName
+    generic: DirectionsByName
 
 
 def adequacy_test(
@@ -99,8 +99,8 @@ def adequacy_test(
 def refitted_directions(
     effects: Sequence[Effect],
     line: Linearisation,
-    directions: dict[str, Directions],
-) -> dict[str, Directions]:
+    directions: DirectionsByName,
+) -> DirectionsByName:
     """Directions whose part beside the fitted ones is what a refit leaves of each effect.
 
     Args:

@@ -10,12 +10,12 @@ diagnosis.
 
 import time
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 
 from imr_torch.assimilate import ModelFit, infer_frame_noise
 from imr_torch.assimilate.noise_estimation import determines_noise
+from imr_torch.files import Document
 from imr_torch.goodness.linear import Linearisation, linearise_fit, whiten_rows
 from imr_torch.goodness.phases import phase_clock, phase_name
 from imr_torch.goodness.score import LEVEL, gap_test, generic_blocks
@@ -80,7 +80,7 @@ class FitTest:
         }
         return render("fit_test.txt", test=self, **names).strip()
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """JSON-ready values."""
         document = vars(self) | {"noise": None if self.noise is None else vars(self.noise)}
         return document | {

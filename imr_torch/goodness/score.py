@@ -25,7 +25,7 @@ from imr_torch.goodness.phases import noise_shares, phase_numbers
 from imr_torch.material import Effect
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import generator
-from imr_torch.types import Directions, ExperimentFrames, Values
+from imr_torch.types import Directions, DirectionsByName, ExperimentFrames, Values
 
 LEVEL = 0.04
 """Chance of a gap being found where there is none."""
@@ -115,9 +115,7 @@ def list_starts(effects: Sequence[Effect]) -> list[dict[str, float]]:
     ]
 
 
-def effect_directions(
-    effects: Sequence[Effect], line: Linearisation
-) -> dict[str, Directions]:
+def effect_directions(effects: Sequence[Effect], line: Linearisation) -> DirectionsByName:
     """What each effect changes at each of its starts, whitened: name -> ``S x N``; zero for a start
     that fails.
     """
@@ -126,7 +124,7 @@ def effect_directions(
     return split_by_effect(rows, effects)
 
 
-def split_by_effect(rows: Directions, effects: Sequence[Effect]) -> dict[str, Directions]:
+def split_by_effect(rows: Directions, effects: Sequence[Effect]) -> DirectionsByName:
     """Rows of the starts of several effects, one effect after the other, by its name."""
     parts = rows.split([len(effect.starts) for effect in effects])
     return {effect.name: part for effect, part in zip(effects, parts, strict=True)}
@@ -206,7 +204,7 @@ def generic_blocks(line: Linearisation) -> list[Block]:
     return [make_block(name, rows, line) for name, rows in generic_rows(line).items()]
 
 
-def generic_rows(line: Linearisation) -> dict[str, Directions]:
+def generic_rows(line: Linearisation) -> DirectionsByName:
     """Whitened rows that stand for no effect: generic stress laws, pulses, drifting parameters,
     distorted output.
     """

@@ -7,6 +7,7 @@ from imr_torch.material.marginals import LogNormal, Marginal, TruncatedNormal
 from imr_torch.material.model_belief import (
     LEVELS,
     Cloud,
+    Intervals,
     ModelBelief,
     add_parameters,
     intervals,
@@ -36,6 +37,7 @@ __all__ = [
     "Cloud",
     "Draws",
     "Effect",
+    "Intervals",
     "LogNormal",
     "Marginal",
     "Material",

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from imr_torch.errors import InputDataError
+from imr_torch.files import Document
 from imr_torch.html import render
 from imr_torch.material import (
     Belief,
@@ -173,7 +174,7 @@ class GelMedium:
         """All values with who stated them, sources of named media, and what was stated twice."""
         return render("medium.txt", medium=self, fields=_FIELDS, label=label).rstrip("\n")
 
-    def to_dict(self) -> dict[str, dict[str, Any]]:
+    def to_dict(self) -> dict[str, Document]:
         """JSON-ready: field -> value, unit, standard deviation (None: exact), whether it was
         stated, and by whom.
         """

@@ -46,7 +46,7 @@ from imr_torch.unknown.kinds import (
     material_state,
 )
 from imr_torch.unknown.search import SIZES, KindFit, KindSearch
-from imr_torch.unknown.shot import Path
+from imr_torch.unknown.shot import Path, ShapedEffects
 
 CLEAR = 0.95
 """Probability from which on something is said."""
@@ -155,7 +155,7 @@ class FollowedGel:
     def tabulate(
         self,
         functions: Mapping[str, Columns],
-        effects: Sequence[tuple[Effect, Sequence[float]]],
+        effects: ShapedEffects,
     ) -> Table:
         """What all hypotheses need of the gel; an effect that leads is taken out of the curves."""
         search = self.search
@@ -215,7 +215,7 @@ class Causes:
     """
 
     widths: dict[str, int]
-    effects: Sequence[tuple[Effect, Sequence[float]]]
+    effects: ShapedEffects
 
     @property
     def names(self) -> list[str]:

@@ -33,6 +33,8 @@ from imr_torch.types import Controls, FrameValues
 
 Fine = Float[Tensor, "fine"]
 """A number at each of the fine times of a trajectory."""
+ShapedEffects = Sequence[tuple[Effect, Sequence[float]]]
+"""Effects, each with its parameters beside the strength."""
 Pulses = Float[Tensor, "pulses"]
 """A pressure, or another number, of each pulse."""
 SPACING = 0.04
@@ -210,7 +212,7 @@ class Shot:
         gel: Controls,
         nuisances: Float[Tensor, "nuisances"],
         pressure: Pulses,
-        effects: Sequence[tuple[Effect, Sequence[float]]],
+        effects: ShapedEffects,
         *,
         step: float = 0.05,
     ) -> Float[Tensor, "effects frames"]:
