@@ -52,6 +52,12 @@ def left(rows, generic, effects) -> Adequacy:
     return Adequacy(None, {}, line(), {}, tuple(effects), rows, generic)
 
 
+def test_that_where_no_effect_is_left_nothing_looks_alike():
+    found = likeness(12.0, left({}, {}, ()), seed=0)
+    assert found.chance == 0.0
+    assert found.bayes_factor(0.5) > 0.0
+
+
 @pytest.mark.parametrize(("degrees", "low", "high"), [(2.0, 0.85, 1.0), (80.0, 0.0, 0.02)])
 def test_that_near_effects_are_masked_and_far_ones_are_not(degrees, low, high):
     rows = {e.name: direction(i * degrees) for i, e in enumerate(EFFECTS)}
