@@ -35,9 +35,7 @@ from imr_torch.assimilate import SearchOptions, assimilate
 from imr_torch.assimilate.starts import away_from_collapses
 from imr_torch.characterization import medium_of
 from imr_torch.errors import InputDataError
-from imr_torch.material import LIBRARY, Belief
-from imr_torch.material.belief import even_belief
-from imr_torch.material.model_belief import add_parameters
+from imr_torch.material import LIBRARY, Belief, add_parameters, even_belief
 from imr_torch.observe import (
     Experiment,
     ExperimentBatch,

@@ -34,8 +34,7 @@ from imr_torch.campaign import (
 )
 from imr_torch.design import Laplace, Plan, choose_sequence
 from imr_torch.float64 import tensor
-from imr_torch.material import PARAMETERS, Belief, Cloud, reference_case
-from imr_torch.material.belief import even_belief
+from imr_torch.material import PARAMETERS, Belief, Cloud, even_belief, reference_case
 from imr_torch.observe import Experiment, Nuisance, SimulatedLaboratory
 from imr_torch.random import child
 from imr_torch.simulate import PolytropicSimulator

@@ -1,6 +1,7 @@
 """Progress of long work, as every stage reports it: a line of text a step."""
 
 from collections.abc import Callable
+from typing import Any
 
 Progress = Callable[[str], None] | None
 """Called with one line of text per step of long work, perhaps a :class:`ProgressLine`; None: work is
@@ -49,6 +50,23 @@ class ProgressLine(str):
             part = done / of if part is None else part
         vars(line).update(stage=stage, step=step, part=part, size=size)
         return line
+
+
+def report_progress(progress: Progress, text: str, **place: Any) -> None:
+    """Report a line of progress, if anybody listens.
+
+    Args:
+        progress: where it is reported; None: nowhere.
+        text: the line.
+        **place: where the work stands, as :class:`ProgressLine` takes it.
+
+    >>> from imr_torch.progress import report_progress
+    >>> report_progress(print, "design 5/25: We 300", step="design", done=5, of=25)
+    design 5/25: We 300
+    >>> report_progress(None, "design 6/25: We 310", step="design", done=6, of=25)
+    """
+    if progress:
+        progress(ProgressLine(text, **place))
 
 
 def within(

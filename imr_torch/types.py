@@ -16,6 +16,7 @@ from torch import Tensor
 # commands import imr_torch.progress itself, which loads no torch
 from imr_torch.progress import Progress as Progress
 from imr_torch.progress import ProgressLine as ProgressLine
+from imr_torch.progress import report_progress as report_progress
 from imr_torch.progress import within as within
 
 Members = Inexact[Tensor, "*#batch"]
@@ -90,11 +91,11 @@ DrawnValues = Float[Tensor, "draws"]
 DrawnControls = Float[Tensor, "draws controls"]
 """Draws of the free parameters of one model."""
 
-DatasetValues = Float[Tensor, "data"]
-"""A number of each simulated data set."""
 
 Directions = Float[Tensor, "_ rows"]
 """Directions in the whitened data, one a row."""
+DirectionsByName = dict[str, Directions]
+"""Directions of each of several effects, or of other things that have a name."""
 
 Coordinates = Float[Tensor, "coordinates"]
 """The free parameters of one model and the nuisances of its experiments, as one vector."""

@@ -13,8 +13,7 @@ import torch
 from imr_torch import float64
 from imr_torch.characterization.compare import compare
 from imr_torch.characterization.saved import SavedCharacterization
-from imr_torch.material import Belief, TruncatedNormal, wide_prior
-from imr_torch.material.model_belief import add_parameters
+from imr_torch.material import Belief, TruncatedNormal, add_parameters, wide_prior
 from tests.refusals import refused
 
 PRIOR = wide_prior(["nhkv"])

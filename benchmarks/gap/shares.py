@@ -18,7 +18,7 @@ from imr_torch.float64 import tensor
 from imr_torch.gap import GapReport
 from imr_torch.gap.model_error import model_error
 from imr_torch.gap.shrinkage import Shrinkage, shrinkage
-from imr_torch.material.model_belief import intervals
+from imr_torch.material import intervals
 from imr_torch.observe import Experiment
 from imr_torch.simulate import Simulator
 

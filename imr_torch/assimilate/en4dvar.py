@@ -35,7 +35,7 @@ from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Progress, ProgressLine
+from imr_torch.types import Progress, report_progress
 
 
 @one_torch_thread()
@@ -142,11 +142,10 @@ def _fit_model(
             )
             tried = mean + reach * tensor(options.lengths)[:, None] * move
             mean = tried[int(posterior.log_joint(posterior.point_at(tried)).argmax())]
-            if progress:
-                place = f"cycle {cycle + 1}, iteration {iteration + 1}"
-                title = posterior.prior.material.title
-                text = f"ensemble 4D-Var: {title}, {place}, step {length:.1e} sd"
-                progress(ProgressLine(text, step=place))
+            place = f"cycle {cycle + 1}, iteration {iteration + 1}"
+            title = posterior.prior.material.title
+            text = f"ensemble 4D-Var: {title}, {place}, step {length:.1e} sd"
+            report_progress(progress, text, step=place)
         costs.append(-float(posterior.log_joint(posterior.point_at(mean))))
     assert analysis is not None
     agreement = abs(costs[-1] - costs[-2])

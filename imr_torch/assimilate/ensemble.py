@@ -20,6 +20,9 @@ from imr_torch.assimilate.gauss_newton import inverse_chol
 from imr_torch.errors import InputDataError, ShapeError
 from imr_torch.types import CoordinateMatrix, Coordinates, MemberCoordinates
 
+DataValues = Float[Tensor, "data"]
+"""A number of each datum."""
+
 
 @dataclass(frozen=True)
 class EnsembleAnalysis:
@@ -69,11 +72,11 @@ class EnsembleAnalysis:
 def analyse_ensemble(
     ensemble: MemberCoordinates,
     predictions: Float[Tensor, "members data"],
-    data: Float[Tensor, "data"],
-    noise_covariance: Float[Tensor, "data"] | Float[Tensor, "data data"],
+    data: DataValues,
+    noise_covariance: DataValues | Float[Tensor, "data data"],
     *,
     prior: tuple[Coordinates, CoordinateMatrix] | None = None,
-    mean_prediction: Float[Tensor, "data"] | None = None,
+    mean_prediction: DataValues | None = None,
     influence: Bool[Tensor, "coordinates data"] | None = None,
 ) -> EnsembleAnalysis:
     """The posterior that an ensemble and its predictions give; exact where predictions are linear.
@@ -154,7 +157,7 @@ def step_from_mean(
     deviations: MemberCoordinates,
     responses: Float[Tensor, "members data"],
     *,
-    slope: Float[Tensor, "data"],
+    slope: DataValues,
     whiten: Callable[[Tensor], Tensor],
     prior: tuple[Coordinates, CoordinateMatrix],
     influence: Bool[Tensor, "coordinates data"] | None = None,

@@ -26,13 +26,12 @@ from imr_torch.assimilate.options import SearchOptions
 from imr_torch.assimilate.posterior import Posterior
 from imr_torch.assimilate.starts import best_prior_draws, given_starts, starts_beside
 from imr_torch.errors import ConvergenceWarning
-from imr_torch.material import Belief
-from imr_torch.material.belief import even_belief
+from imr_torch.material import Belief, even_belief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Progress, ProgressLine
+from imr_torch.types import Progress, report_progress
 
 
 @one_torch_thread()
@@ -157,8 +156,7 @@ class _Reports:
             )
             if self.masking:
                 part = 0.5 * (self.begun / count + part)
-        if self.progress:
-            self.progress(ProgressLine(text, step=step, part=part))
+        report_progress(self.progress, text, step=step, part=part)
 
     def report_iteration(self, end: Descent) -> None:
         """The line of an iteration of any search."""
@@ -217,7 +215,7 @@ def assimilate_model(
 
     Args:
         posterior: of the model.
-        starts: ``n`` gels with the nuisances of each.
+        starts: ``n`` gels with the nuisances of each, or with those that all begin with.
         seed: of further starts.
         options: how to search.
         progress: called with one line per iteration.

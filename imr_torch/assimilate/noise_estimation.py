@@ -28,7 +28,7 @@ from imr_torch.observe.noise import FEWEST_RESIDUALS
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Progress, ProgressLine
+from imr_torch.types import Progress, report_progress
 
 NOISE_ROUNDS = 2
 """How often the noise of measured curves is estimated: from fits with the given law, and from fits with the first estimate."""
@@ -43,9 +43,6 @@ def assimilate_estimating_noise(
     rounds: int,
     seed: int,
     options: FitOptions | None = None,
-    gradient: float = 0.3,
-    agreement: float = 1.0,
-    near: Assimilation | None = None,
     warn: bool = True,
     progress: Progress = None,
 ) -> Assimilation:
@@ -58,10 +55,8 @@ def assimilate_estimating_noise(
         rounds: how often the noise is estimated and the fits made again; with 0 it is as given.
         seed: of starts and ensembles.
         options: the method and its settings, :func:`assimilate` by default; tolerances are those of
-            the last fits.
-        gradient: tolerance of the gradient of all fits but the last, posterior standard deviations.
-        agreement: their tolerance of the agreement of starts, nats.
-        near: fits of the same belief and experiments, with other noise or frames, to start from.
+            the last fits, others end at a gradient of .3 posterior standard deviations and where
+            starts agree within a nat.
         warn: as for :func:`assimilate`, of the last fits.
         progress: called with one line per iteration.
 
@@ -102,8 +97,8 @@ def assimilate_estimating_noise(
             )
         rough = replace(
             options,
-            gradient=max(options.gradient, gradient),
-            agreement=max(options.agreement, agreement),
+            gradient=max(options.gradient, 0.3),
+            agreement=max(options.agreement, 1.0),
             basin_rounds=0 if number else options.basin_rounds,  # searched before and after
         )
         return assimilate(
@@ -117,7 +112,7 @@ def assimilate_estimating_noise(
             progress=progress,
         )
 
-    result = fit_models(batch, 0, near)
+    result = fit_models(batch, 0, None)
     if rounds:
         kept = without_spoilt_frames(result.lowest.linearise(result.batch, simulator))
         if kept is not result.batch:
@@ -127,8 +122,7 @@ def assimilate_estimating_noise(
         batch = with_inferred_noise(
             scattered, result, law, simulator, widen=number == rounds
         )
-        if progress:
-            progress(ProgressLine(f"noise {batch.noise}", stage="noise"))
+        report_progress(progress, f"noise {batch.noise}", stage="noise")
         result = fit_models(batch, number, result)
     return result
 

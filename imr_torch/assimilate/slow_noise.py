@@ -28,6 +28,9 @@ from imr_torch.types import LawValues
 AMOUNTS = (0.001, 0.002, 0.004, 0.008, 0.016)
 """Standard deviations of slow noise in R* that are tried."""
 
+LawColumns = Float[Tensor, "laws columns frames"]
+"""Curves, whitened by each law: one column a curve, frames of all shots after one another."""
+
 
 @dataclass(frozen=True)
 class SmoothDeviations:
@@ -112,7 +115,7 @@ class BesideSlowNoise:
     near: Neighbourhood
     laws: Float[Tensor, "laws 2"]
     residual: Float[Tensor, "laws frames"]
-    fitted: Float[Tensor, "laws columns frames"]
+    fitted: LawColumns
     log_norm: LawValues
 
     @classmethod
@@ -168,9 +171,7 @@ class BesideSlowNoise:
                 break
         return here
 
-    def whiten(
-        self, columns: Float[Tensor, "columns experiments frames"]
-    ) -> Float[Tensor, "laws columns frames"]:
+    def whiten(self, columns: Float[Tensor, "columns experiments frames"]) -> LawColumns:
         """Curves in R* under each law."""
         return _whiten(self.near, self.laws, columns)[0]
 
@@ -179,9 +180,7 @@ class BesideSlowNoise:
         """Nats, everything that is fitted and the deviations integrated out."""
         return float(self._of_laws.logsumexp(0))
 
-    def log_evidence_with(
-        self, columns: Float[Tensor, "laws columns frames"]
-    ) -> Float[Tensor, "columns"]:
+    def log_evidence_with(self, columns: LawColumns) -> Float[Tensor, "columns"]:
         """The same with one thing more that is fitted, per prior standard deviation: one value for
         each column.
         """
@@ -224,7 +223,7 @@ def _whiten(
     near: Neighbourhood,
     laws: Float[Tensor, "laws 2"],
     columns: Float[Tensor, "columns experiments frames"],
-) -> tuple[Float[Tensor, "laws columns frames"], LawValues]:
+) -> tuple[LawColumns, LawValues]:
     """Curves under each law, and half the log determinants."""
     batch = near.posterior.batch
     noise = batch.sd(near.centre).square() / batch.counts

@@ -40,7 +40,7 @@ from imr_torch.errors import ConvergenceError, InputDataError
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import DrawnControls, Progress, ProgressLine
+from imr_torch.types import DrawnControls, Progress, report_progress
 
 
 @dataclass
@@ -159,8 +159,7 @@ def weigh(
     waiting = states
     number = 0
     drawn = 0.0
-    if progress:
-        progress(ProgressLine("draws about each fit", stage="draws", part=0.0))
+    report_progress(progress, "draws about each fit", stage="draws", part=0.0)
     while waiting:
         number += 1
         ahead = _models_ahead([state.fit for state in states], drop_behind)
@@ -188,7 +187,7 @@ def weigh(
                 )
                 part = drawn / expected
                 size = expected / (min(2, rounds) * len(states))
-                progress(ProgressLine(text, step=step, part=part, size=size))
+                report_progress(progress, text, step=step, part=part, size=size)
         _fit_again(waiting, states, options, child(seed, "refit", number), progress)
         ahead = _models_ahead([state.fit for state in states], drop_behind)
         waiting = [state for state in waiting if state.needs_round(options, ahead, rounds)]

@@ -32,8 +32,7 @@ from imr_torch.design.likelihood import (
 )
 from imr_torch.errors import InputDataError
 from imr_torch.float64 import full
-from imr_torch.material import Belief
-from imr_torch.material.belief import even_belief
+from imr_torch.material import Belief, even_belief
 from imr_torch.random import generator
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread

@@ -50,7 +50,7 @@ class CampaignSettings:
     learner: Learner = field(default_factory=ExactLearner)
     stop: StoppingRule | None = None
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """JSON-ready values, with the kind of every part."""
         return _describe_part(self)
 

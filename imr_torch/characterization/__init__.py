@@ -10,7 +10,7 @@ from imr_torch.characterization.bands import predictive_band
 from imr_torch.characterization.infer import characterize
 from imr_torch.characterization.request import EFFORTS, Effort, medium_document, medium_of
 from imr_torch.characterization.result import Characterization
-from imr_torch.material.model_belief import intervals
+from imr_torch.material import intervals
 
 __all__ = [
     "EFFORTS",

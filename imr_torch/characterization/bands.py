@@ -10,8 +10,7 @@ from torch import Tensor
 from imr_torch.assimilate import Assimilation
 from imr_torch.files import Document, drawn_numbers
 from imr_torch.float64 import arange, tensor
-from imr_torch.material import Belief
-from imr_torch.material.model_belief import LEVELS
+from imr_torch.material import LEVELS, Belief
 from imr_torch.observe import predict
 from imr_torch.observe.collapse import serial_correlation
 from imr_torch.simulate import Simulator

@@ -27,16 +27,18 @@ from pathlib import Path
 
 from imr_torch.assimilate import FitOptions
 from imr_torch.characterization import characterize
-from imr_torch.characterization.saved import SavedCharacterization, write_xlsx
-from imr_torch.document import header
+from imr_torch.characterization.saved import (
+    ReportedResult,
+    SavedCharacterization,
+    write_xlsx,
+)
 from imr_torch.errors import ImrError, InputDataError, in_one_line
 from imr_torch.files import Document, read_json, write_bytes, write_json
 from imr_torch.material import PARAMETERS, Belief
 from imr_torch.observe import Layout, Statement, TraceSet, find_files, load_traces
-from imr_torch.results import document_report
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Progress, ProgressLine
+from imr_torch.types import Progress, report_progress
 
 Pool = Executor | Callable[[], Executor]
 """What shots are handed to, or a function that makes it."""
@@ -141,7 +143,7 @@ class Shot:
 
 
 @dataclass(frozen=True)
-class BatchSummary:
+class BatchSummary(ReportedResult):
     """One row per shot.
 
     Args:
@@ -158,6 +160,8 @@ class BatchSummary:
     (1, ('shot', 'status', 'G', 'error'))
     """
 
+    command = "batch"
+
     rows: tuple[Document, ...]
 
     @property
@@ -173,10 +177,6 @@ class BatchSummary:
     def to_dict(self) -> Document:
         """JSON-ready values, from which page and report are made."""
         return {"shots": [dict(row) for row in self.rows]}
-
-    def report(self) -> str:
-        """How many shots have a result, and why others have none, as text."""
-        return document_report(header("batch") | self.to_dict())
 
     def to_csv(self) -> str:
         """The rows as CSV with a header; numbers keep every bit."""
@@ -269,9 +269,8 @@ def run_batch(
         with closing(finished):
             for number, (shot, document) in enumerate(finished, 1):
                 keep_result(shot, document)
-                if progress:
-                    text = f"{number} of {len(wanted)}: {shot.name} {rows[shot.name]['status']}"
-                    progress(ProgressLine(text, done=number, of=len(wanted)))
+                text = f"{number} of {len(wanted)}: {shot.name} {rows[shot.name]['status']}"
+                report_progress(progress, text, done=number, of=len(wanted))
     finally:
         summary = BatchSummary(tuple(filter(None, rows.values())))
         if summary.rows:

@@ -15,19 +15,17 @@ import torch
 
 from imr_torch.assimilate.importance import weighted_quantiles
 from imr_torch.characterization.saved import (
+    ReportedResult,
     SavedCharacterization,
     WeightedDraws,
     to_dataframe,
 )
-from imr_torch.document import header
 from imr_torch.errors import InputDataError
 from imr_torch.files import Document
 from imr_torch.float64 import tensor
 from imr_torch.html import render
-from imr_torch.material import ModelBelief
-from imr_torch.material.model_belief import LEVELS
+from imr_torch.material import LEVELS, ModelBelief
 from imr_torch.population.result import DECISIVE
-from imr_torch.results import document_report
 from imr_torch.simulate.setting import OF_MEDIUM
 
 if TYPE_CHECKING:
@@ -68,7 +66,7 @@ class ParameterComparison:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Comparison(ReportedResult):
     """Two gels compared.
 
     Args:
@@ -97,6 +95,8 @@ class Comparison:
     ('same', 'different')
     """
 
+    command = "compare"
+
     names: tuple[str, str]
     model: str
     parameters: tuple[ParameterComparison, ...]
@@ -115,10 +115,6 @@ class Comparison:
         if abs(self.log_bayes_factor) < DECISIVE:
             return "undecided"
         return "same" if self.log_bayes_factor > 0.0 else "different"
-
-    def report(self) -> str:
-        """The comparison as text."""
-        return document_report(header("compare") | self.to_dict())
 
     def rows(self) -> list[Document]:
         """One row per parameter."""

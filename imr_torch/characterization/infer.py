@@ -28,7 +28,6 @@ from imr_torch.goodness import check_fit, compare_parts, follow_gel
 from imr_torch.material import Belief, wide_prior
 from imr_torch.observe import (
     CollapseShot,
-    Experiment,
     ExperimentBatch,
     GelMedium,
     Noise,
@@ -45,7 +44,7 @@ from imr_torch.select import evidences, update
 from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator
 from imr_torch.simulate.growth import check_reversible
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Progress, ProgressLine
+from imr_torch.types import Progress, report_progress
 
 
 @one_torch_thread()
@@ -197,25 +196,17 @@ def characterize(
     posterior = update(weighted, evidence)
     best = posterior.best.model
     fitted = prepared.experiments
-    prepared = replace(
-        prepared,
-        experiments=tuple(
-            e for e in weighted.batch.experiments if isinstance(e, Experiment)
-        ),
-    )
-    tested = None
-    parts = None
-    if check and len(traces):
-        if progress:
-            text = "fit test: does the model explain the curves?"
-            progress(ProgressLine(text, stage="fit test"))
+    prepared = replace(prepared, experiments=weighted.batch.curves)
+    tested = parts = stretches = gels = None
+    if len(traces):
         curves = weighted[best].of_curves(weighted.batch)
-        tested = check_fit(*curves, simulator, seed=child(seed, "check"))
-        parts = compare_parts(*curves, simulator)
-    stretches = None
-    if over_time and len(traces):
-        stretches = follow_gel(*weighted[best].of_curves(weighted.batch), simulator)
-    gels = None
+        if check:
+            text = "fit test: does the model explain the curves?"
+            report_progress(progress, text, stage="fit test")
+            tested = check_fit(*curves, simulator, seed=child(seed, "check"))
+            parts = compare_parts(*curves, simulator)
+        if over_time:
+            stretches = follow_gel(*curves, simulator)
     if population:
         own = child(seed, "population")
         alone = fit_shots(
@@ -227,8 +218,8 @@ def characterize(
             seed=own,
             progress=progress,
         )
-        if progress:
-            progress(ProgressLine("population: scatter of the gel", stage="population"))
+        text = "population: scatter of the gel"
+        report_progress(progress, text, stage="population")
         gels = infer_population(alone, seed=own)
     used = tuple(
         find_frame_use(

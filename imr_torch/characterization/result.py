@@ -15,14 +15,17 @@ from imr_torch.assimilate import Assimilation, ModelFit, Verdict
 from imr_torch.assimilate.dense import dense_curve
 from imr_torch.characterization.bands import band_document, find_patterns, predictive_band
 from imr_torch.characterization.request import EFFORTS, medium_document
-from imr_torch.characterization.saved import SavedCharacterization, draws_to_dict
+from imr_torch.characterization.saved import (
+    ReportedResult,
+    SavedCharacterization,
+    draws_to_dict,
+)
 from imr_torch.document import describe_shot, header
 from imr_torch.files import Document, drawn_numbers, without_nonfinite, write_json
 from imr_torch.gap import MediumSensitivity
 from imr_torch.goodness import FitTest, PartsTest
 from imr_torch.html import render
-from imr_torch.material import PARAMETERS, Belief
-from imr_torch.material.model_belief import intervals
+from imr_torch.material import PARAMETERS, Belief, intervals
 from imr_torch.observe import (
     CollapseTime,
     Experiment,
@@ -43,7 +46,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, repr=False)
-class Characterization:
+class Characterization(ReportedResult):
     """Parameters, model probabilities and fits inferred from curves of one gel.
 
     Args:
@@ -92,6 +95,8 @@ class Characterization:
     >>> result
     <Characterization of 1 curve(s), NHKV: G ... kPa (90 %: ...), mu ... Pa s (90 %: ...)>
     """
+
+    command = "characterize"
 
     prepared: Prepared
     assimilation: Assimilation
@@ -337,7 +342,7 @@ class Characterization:
             ["imr-torch", "diagnose", *files, *curve, "--html", "diagnosis.html"]
         )
         document = self.to_document(command)
-        return header("characterize", files=files, medium=self.medium) | document
+        return header(self.command, files=files, medium=self.medium) | document
 
     def collapse_times(self) -> list[Document]:
         """Each shot of which the collapse time alone is known: measured and, by the most probable
@@ -376,14 +381,6 @@ class Characterization:
     def to_dataframe(self) -> "pandas.DataFrame":
         """One row per model and parameter, SI; needs pandas."""
         return SavedCharacterization.from_dict(self.to_dict()).to_dataframe()
-
-    def report(self) -> str:
-        """The result as text: whether the fit explains the curves, the frames used, a table per
-        model with its certificate.
-        """
-        from imr_torch.results import document_report  # which draws, and needs matplotlib
-
-        return document_report(header("characterize") | self.to_dict())
 
 
 def _document_curve(

@@ -8,22 +8,39 @@ themselves.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 
 from imr_torch.assimilate import Assimilation
-from imr_torch.document import is_explained
+from imr_torch.document import header, is_explained
 from imr_torch.errors import InputDataError, UnsupportedError
 from imr_torch.files import Document, read_json, write_atomically
 from imr_torch.float64 import tensor
-from imr_torch.material import PARAMETERS, Belief
+from imr_torch.material import PARAMETERS, Belief, Intervals
 from imr_torch.types import DrawnControls, DrawnValues
 
 if TYPE_CHECKING:
     import pandas
 
 _EXPECTED = "expected a result of imr-torch characterize (--json or --out)"
+
+
+class ReportedResult:
+    """A result that becomes a document, and by it a text."""
+
+    command: ClassVar[str]
+    """Whose document it is."""
+
+    def to_dict(self) -> Document:
+        """JSON-ready values, from which page and report are made."""
+        raise NotImplementedError
+
+    def report(self) -> str:
+        """The result as text."""
+        from imr_torch.results import document_report  # which draws, and needs matplotlib
+
+        return document_report(header(self.command) | self.to_dict())
 
 
 @dataclass(frozen=True)
@@ -133,7 +150,7 @@ class SavedCharacterization:
         """Whether the most probable model explains the curves; None where that was not tested."""
         return is_explained(self.document)
 
-    def intervals(self, model: str | None = None) -> dict[str, list[float]]:
+    def intervals(self, model: str | None = None) -> Intervals:
         """Parameter -> [5 %, 50 %, 95 %] quantile of a model (the most probable when not given),
         SI.
         """

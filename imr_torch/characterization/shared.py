@@ -20,22 +20,27 @@ from torch import Tensor
 from torch.special import ndtri
 
 from imr_torch.characterization.compare import CLEAR, list_cautions
-from imr_torch.characterization.saved import SavedCharacterization
-from imr_torch.document import header
+from imr_torch.characterization.saved import ReportedResult, SavedCharacterization
 from imr_torch.errors import InputDataError
 from imr_torch.files import Document
 from imr_torch.float64 import linspace, tensor
-from imr_torch.material import PARAMETERS, Marginal, ModelBelief, TruncatedNormal
-from imr_torch.material.model_belief import LEVELS, intervals
+from imr_torch.material import (
+    LEVELS,
+    PARAMETERS,
+    Intervals,
+    Marginal,
+    ModelBelief,
+    TruncatedNormal,
+    intervals,
+)
 from imr_torch.population.shared_value import ValueGrid, raise_powers
-from imr_torch.results import document_report
 
 NODES = linspace(0.0025, 0.9975, 200)
 """Probabilities of the quantiles over which a gel's other parameters are integrated."""
 
 
 @dataclass(frozen=True)
-class SharedParameter:
+class SharedParameter(ReportedResult):
     """A parameter that gels of one laboratory share. Intervals are 5, 50 and 95 % quantiles, SI.
 
     Args:
@@ -59,6 +64,8 @@ class SharedParameter:
     'undecided'
     """
 
+    command = "compare"
+
     parameter: str
     interval: list[float]
     log_evidences: dict[str, float]
@@ -78,10 +85,6 @@ class SharedParameter:
         """The hypothesis with a probability of 97.5 % or more, or ``"undecided"``."""
         clear = [name for name, share in self.probabilities.items() if share >= CLEAR]
         return clear[0] if clear and not self.misfits else "undecided"
-
-    def report(self) -> str:
-        """What was found as text."""
-        return document_report(header("compare") | self.to_dict())
 
     def to_dict(self) -> Document:
         """JSON-ready values."""
@@ -221,7 +224,7 @@ def _choose_models(
 
 def _follow_shared(
     part: ModelBelief, mean: Tensor, covariance: Tensor, at: Tensor
-) -> dict[str, list[float]]:
+) -> Intervals:
     """Intervals of a gel's parameters, from moments of the shared coordinate and the controls, for
     quantiles of the shared coordinate.
     """

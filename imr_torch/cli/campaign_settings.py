@@ -18,8 +18,7 @@ from imr_torch.cli.common import METHODS, parse_values, refuse_options
 from imr_torch.cli.design import plan_of, space_of
 from imr_torch.errors import InputDataError
 from imr_torch.gap import CauseLearner, TellCausesApart
-from imr_torch.material import Belief, ReferenceCase, library
-from imr_torch.material.belief import even_belief
+from imr_torch.material import Belief, ReferenceCase, even_belief, library
 
 _CAUSE_SURE = "cause=0.9"  # when a campaign for a cause ends, if nothing else is asked for
 

@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 from imr_torch.cli.options import FORMATS
 from imr_torch.errors import InputDataError, in_one_line
 from imr_torch.files import write_atomically
-from imr_torch.progress import Progress, ProgressLine
+from imr_torch.progress import Progress, report_progress
 from imr_torch.results import NamedFigure, draw_figures, read_document, write_page
 
 matplotlib.use("Agg")  # commands write files and open no window
@@ -64,9 +64,8 @@ def save_figures(
     """
     failed = []
     for number, item in enumerate(figures, start=len(figures)):
-        if progress:
-            text = f"figures: {item.name}"
-            progress(ProgressLine(text, step="figures", done=number, of=2 * len(figures)))
+        text = f"figures: {item.name}"
+        report_progress(progress, text, step="figures", done=number, of=2 * len(figures))
         try:
             figure = item.draw()
             for kind in formats:

@@ -38,7 +38,7 @@ from imr_torch.design.response import Response, Shot, simulate_response
 from imr_torch.errors import check_at_least
 from imr_torch.float64 import eye, ones
 from imr_torch.material import ModelBelief
-from imr_torch.types import BatchControlMatrix, DatasetValues, DrawnControls, DrawnValues
+from imr_torch.types import BatchControlMatrix, DrawnControls, DrawnValues
 
 
 @dataclass(frozen=True)
@@ -199,7 +199,7 @@ def refine_gels(
     shot: Shot,
     part: ModelBelief,
     iterations: int,
-    floor: DatasetValues,
+    floor: DrawnValues,
     *,
     close: float = 0.5,
     longest: float = 4.0,

@@ -23,7 +23,7 @@ from imr_torch.files import Document, drawn_numbers, without_nonfinite
 from imr_torch.float64 import linspace, tensor, zeros
 from imr_torch.random import child
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Designs, Progress, ProgressLine
+from imr_torch.types import Designs, Progress, report_progress
 from imr_torch.units import Surroundings
 
 
@@ -231,13 +231,14 @@ def _search_one(
             gain = acquisition.estimate(design[None], seed=child(seed, "eig", 0))
             designs = torch.cat((designs, design[None]))
             gains.append(gain)
-            if progress:
-                text = (
-                    f"design {len(gains)}/{evaluations}: We {float(design[0]):6.1f}  R_inf* "
-                    f"{float(design[1]):.3f}  "
-                    f"EIG {gain.value:.3f} +- {gain.variance**0.5:.3f} nats"
-                )
-                progress(ProgressLine(text, step="design", done=len(gains), of=evaluations))
+            report_progress(
+                progress,
+                f"design {len(gains)}/{evaluations}: We {float(design[0]):6.1f}  R_inf* "
+                f"{float(design[1]):.3f}  EIG {gain.value:.3f} +- {gain.variance**0.5:.3f} nats",
+                step="design",
+                done=len(gains),
+                of=evaluations,
+            )
     optimizer, common = _tell_gains(untold, designs, gains, pending)
     best = optimizer.recommend()
     cost = float(optimizer.space.cost(best.design[None]))

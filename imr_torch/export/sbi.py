@@ -22,7 +22,7 @@ from imr_torch.material import ModelBelief
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, predict
 from imr_torch.random import SeedLike, generator
 from imr_torch.simulate import Simulator
-from imr_torch.types import BatchControls, Controls, Values
+from imr_torch.types import BatchControls, Controls, Designs, Values
 
 
 class ModelPrior(Distribution):
@@ -161,7 +161,7 @@ class SbiSimulator:
 def sbi_simulator(
     belief: ModelBelief,
     simulator: Simulator,
-    designs: Real[Tensor, "designs 2"],
+    designs: Designs,
     times: Real[Tensor, "frames"],
     *,
     seed: int,

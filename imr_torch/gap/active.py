@@ -25,8 +25,7 @@ from imr_torch.errors import ConvergenceError, InputDataError, check_at_least
 from imr_torch.gap.attribute import Attribution
 from imr_torch.gap.diagnose import GapReport, diagnose
 from imr_torch.gap.identity_design import identity_design
-from imr_torch.material import Belief, ModelBelief, library
-from imr_torch.material.belief import even_belief
+from imr_torch.material import Belief, ModelBelief, even_belief, library
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
 from imr_torch.simulate import Simulator, coarser, described

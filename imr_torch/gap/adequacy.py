@@ -19,13 +19,14 @@ from torch import Tensor
 
 from imr_torch.assimilate import ModelFit
 from imr_torch.float64 import full
-from imr_torch.goodness.linear import Linearisation, linearise_fit, predict_changed
+from imr_torch.goodness.linear import Linearisation, linearise_fit, predict_changes
 from imr_torch.goodness.score import (
     Block,
     GapTest,
     effect_directions,
     gap_test,
     generic_rows,
+    list_starts,
     log_survival,
     make_block,
     promising_starts,
@@ -34,7 +35,7 @@ from imr_torch.goodness.score import (
 from imr_torch.material import Effect
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
-from imr_torch.types import Directions
+from imr_torch.types import DirectionsByName, Values
 
 _ROUNDS = 2
 _FARTHEST_GEL = 1.0
@@ -61,10 +62,10 @@ class Adequacy:
     test: GapTest
     starts: dict[str, tuple[tuple[float, ...], ...]]
     line: Linearisation
-    directions: dict[str, Directions]
+    directions: DirectionsByName
     effects: tuple[Effect, ...]
-    beside: dict[str, Directions]
-    generic: dict[str, Directions]
+    beside: DirectionsByName
+    generic: DirectionsByName
 
 
 def adequacy_test(
@@ -80,9 +81,9 @@ def adequacy_test(
     others = tuple(
         effect for effect in effects if not set(effect.names) & set(fit.prior.names)
     )
-    directions = effect_directions(others, fit, batch, simulator, line)
-    beside = refitted_directions(others, fit, batch, simulator, line, directions)
-    generic = generic_rows(fit, batch, simulator, line)
+    directions = effect_directions(others, line)
+    beside = refitted_directions(others, line, directions)
+    generic = generic_rows(line)
     blocks = [
         make_block(name, rows, line) for name, rows in (*beside.items(), *generic.items())
     ]
@@ -97,19 +98,13 @@ def adequacy_test(
 
 def refitted_directions(
     effects: Sequence[Effect],
-    fit: ModelFit,
-    batch: ExperimentBatch,
-    simulator: Simulator,
     line: Linearisation,
-    directions: dict[str, Directions],
-) -> dict[str, Directions]:
+    directions: DirectionsByName,
+) -> DirectionsByName:
     """Directions whose part beside the fitted ones is what a refit leaves of each effect.
 
     Args:
         effects: what was changed.
-        fit: the fit at which it was.
-        batch: the data.
-        simulator: makes the bubbles.
         line: local sensitivities at the fit.
         directions: name -> ``S x N``, whitened changes at each start
             (:func:`imr_torch.goodness.score.effect_directions`).
@@ -118,17 +113,13 @@ def refitted_directions(
         Name -> ``S x N``; the first-order rows where the moved gel is far off, cannot be simulated,
         or leaves more.
     """
-    changes = [
-        dict(zip(effect.names, start, strict=True))
-        for effect in effects
-        for start in effect.starts
-    ]
+    changes = list_starts(effects)
     if not changes:
         return {}
     rows = torch.cat([directions[effect.name] for effect in effects])
     left = line.project_out(rows).norm(dim=1)
     farthest = full((line.fitted.shape[1],), _FARTHEST_NUISANCE)
-    farthest[: len(fit.mean)] = _FARTHEST_GEL
+    farthest[: line.near.posterior.size] = _FARTHEST_GEL
     # a start that failed would only fail again, slowly
     under_way = torch.nonzero(left > 0.0)[:, 0]
     for _ in range(_ROUNDS):
@@ -138,10 +129,8 @@ def refitted_directions(
         shift = shift[near]
         if not len(under_way):
             break
-        moved = predict_changed(
-            fit, batch, simulator, [changes[i] for i in under_way.tolist()], -shift
-        )
-        beside = line.whiten(moved - line.prediction) + line.explained_rows(shift)
+        moved = predict_changes(line, [changes[i] for i in under_way.tolist()], -shift)
+        beside = line.whiten(moved) + line.explained_rows(shift)
         now = line.project_out(beside).norm(dim=1)
         smaller = now < left[under_way]  # not where a solve failed: NaN is not smaller
         under_way = under_way[smaller]
@@ -151,7 +140,7 @@ def refitted_directions(
 
 def log_p_values(
     blocks: Sequence[Block], rows: Float[Tensor, "*batch rows"]
-) -> list[Float[Tensor, "*batch"]]:
+) -> list[Values]:
     """Log p-values of residuals by each block that has a direction left.
 
     Args:

@@ -31,7 +31,7 @@ from imr_torch.gap.lookalike import Likeness, likeness
 from imr_torch.gap.verdict import CheckedEvidence, check_evidence, probabilities
 from imr_torch.goodness.score import GapTest
 from imr_torch.random import child
-from imr_torch.types import ProgressLine, within
+from imr_torch.types import report_progress, within
 
 _SCALES_OF_NOISE = 9  # over which probabilities are averaged where the noise was inferred
 _MOST_LEFT_OUT = 3  # hypotheses whose fits do not converge, before the best of the others is taken as it is
@@ -191,9 +191,12 @@ def fit_candidates(
     """
     longer = inquiry.longer(held)
     asked = [h for h in longer.values() if near is None or h.name in near]
-    if inquiry.progress:
-        text = f"attribution: {len(asked)} hypotheses"
-        inquiry.progress(ProgressLine(text, stage="effects", part=0.0))
+    report_progress(
+        inquiry.progress,
+        f"attribution: {len(asked)} hypotheses",
+        stage="effects",
+        part=0.0,
+    )
     alike = [h for h in asked if h.gels_differ is held.gels_differ]
     differing = [h for h in asked if h not in alike]
     together = replace(inquiry, progress=within(inquiry.progress, 0.0, _OF_ONE_GEL))
@@ -206,11 +209,12 @@ def fit_candidates(
     else:
         fits |= fit_from(together, alike, near, seed=seed, options=_FIT_NEAR)
     for hypothesis in differing:
-        if inquiry.progress:
-            text = "attribution: differences between shots"
-            inquiry.progress(
-                ProgressLine(text, step=in_words(GEL_SCATTER), part=_OF_ONE_GEL)
-            )
+        report_progress(
+            inquiry.progress,
+            "attribution: differences between shots",
+            step=in_words(GEL_SCATTER),
+            part=_OF_ONE_GEL,
+        )
         lowest = min(fit.cost for fit in fits.values())
         own = child(seed, "differing")
         if near is None:
@@ -307,49 +311,42 @@ def reconsider(
 def _conclude(
     inquiry: Inquiry, found: Candidates, before: Adequacy, *, masked: float, seed: int
 ) -> Attribution:
-    """What the evidence of the fits, which are brought up to date, and the winner's adequacy say."""
-    held = found.held
-    hypotheses = found.hypotheses
-    fits = dict(found.fits)
-    evidence = dict(found.log_evidence)
-    batch = held.seen(inquiry.batch)
+    """What the evidence of the fits, which are brought up to date in place, and the winner's
+    adequacy say.
+    """
+    batch = found.held.seen(inquiry.batch)
     left_out: list[str] = []
-    find_winner = partial(_find_winner, inquiry, held, hypotheses, fits, evidence, left_out)
+    find_winner = partial(_find_winner, inquiry, found, left_out)
     leader = find_winner((), seed)
-    alike = {n: x for n, x in evidence.items() if n in found.alike}
     checked = check_evidence(
-        fits,
-        alike,
+        found.fits,
+        {n: x for n, x in found.log_evidence.items() if n in found.alike},
         batch,
         inquiry.simulator,
         seed=child(seed, "evidence"),
         progress=within(inquiry.progress, _OF_FITS, 1.0, name="evidence by draws"),
     )
-    if checked and all(found.reliable for found in checked.values()):
-        evidence |= {name: found.sampled for name, found in checked.items()}
+    if checked and all(own.reliable for own in checked.values()):
+        found.log_evidence.update({name: own.sampled for name, own in checked.items()})
         leader = find_winner(checked, child(seed, "ahead"))
-    winner = hypotheses[leader]
-    left = inquiry.test(fits[leader], winner, seed=child(seed, "adequacy"))
-    null = fits[held.name]
-    size = math.sqrt(max(2.0 * (null.cost - fits[leader].cost), 0.0))
+    winner = found.hypotheses[leader]
+    left = inquiry.test(found.fits[leader], winner, seed=child(seed, "adequacy"))
+    null = found.fits[found.held.name]
+    size = math.sqrt(max(2.0 * (null.cost - found.fits[leader].cost), 0.0))
     like = likeness(size, before, seed=seed)
     laws = batch.noise_laws
     smooth = None  # where the noise is known, slow noise included
     if laws is not None and laws.of_residuals:
         smooth = smooth_deviations(null.linearise(batch, inquiry.simulator))
     factor = like.bayes_factor(left.test.p_value)
-    posterior = _average_probabilities(
-        inquiry, held, fits, evidence, bayes_factor=factor, masked=masked, smooth=smooth
-    )
     return Attribution(
-        held,
-        hypotheses,
-        fits,
-        evidence,
-        posterior,
-        winner,
-        left,
-        like,
+        **vars(found),
+        posterior=_average_probabilities(
+            inquiry, found, bayes_factor=factor, masked=masked, smooth=smooth
+        ),
+        winner=winner,
+        left=left,
+        likeness=like,
         checked=checked,
         left_out=tuple(left_out),
     )
@@ -357,21 +354,22 @@ def _conclude(
 
 def _average_probabilities(
     inquiry: Inquiry,
-    held: Hypothesis,
-    fits: Mapping[str, ModelFit],
-    evidence: Mapping[str, float],
+    found: Candidates,
     *,
     bayes_factor: float,
     masked: float,
     smooth: SmoothDeviations | None,
 ) -> dict[str, float]:
     """Probabilities of all causes, averaged over what is known of the scale of the noise."""
+    held = found.held
+    evidence = found.log_evidence
     kinds = {effect.name: effect.family for effect in inquiry.effects}
     families = {h.name: kinds.get(part, part) for part, h in inquiry.longer(held).items()}
     laws = inquiry.batch.noise_laws
     log_scales = [0.0] if laws is None else laws.log_scales(_SCALES_OF_NOISE).tolist()
     squares = {
-        n: min(1e300, inquiry.batch.square(fit.prediction)) for n, fit in fits.items()
+        name: min(1e300, inquiry.batch.square(fit.prediction))
+        for name, fit in found.fits.items()
     }
     each = []
     for log_scale in log_scales:
@@ -396,29 +394,30 @@ def _average_probabilities(
 
 def _find_winner(
     inquiry: Inquiry,
-    held: Hypothesis,
-    hypotheses: Mapping[str, Hypothesis],
-    fits: dict[str, ModelFit],
-    evidence: dict[str, float],
+    found: Candidates,
     left_out: list[str],
     sampled: Collection[str],
     seed: int,
 ) -> str:
     """The name of the leader, once the leader's fit was continued until it has converged.
 
-    Changes ``fits``, ``evidence`` and ``left_out`` in place: a leader that does not converge loses
-    its evidence and is left out; evidence that was ``sampled`` is kept.
+    Changes the fits and their evidence and ``left_out`` in place: a leader that does not converge
+    loses its evidence and is left out; evidence that was ``sampled`` is kept.
     """
+    fits = found.fits
+    evidence = found.log_evidence
     continued = set[str]()
     while True:
-        leader = max((n for n in evidence if n != held.name), key=evidence.__getitem__)
+        others = (name for name in evidence if name != found.held.name)
+        leader = max(others, key=evidence.__getitem__)
         certificate = fits[leader].certificate
         if certificate.converged:
             return leader
         if leader not in continued:
             continued.add(leader)
             own = child(seed, "finish")
-            fits[leader] = finish(inquiry, fits[leader], hypotheses[leader], seed=own)
+            hypothesis = found.hypotheses[leader]
+            fits[leader] = finish(inquiry, fits[leader], hypothesis, seed=own)
             if leader not in sampled:
                 evidence[leader] = laplace_evidence(fits[leader])
         elif certificate.usable or len(evidence) == 2 or len(left_out) >= _MOST_LEFT_OUT:

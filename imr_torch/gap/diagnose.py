@@ -25,7 +25,7 @@ from imr_torch.observe import Experiment, ExperimentBatch, Noise
 from imr_torch.random import child
 from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator, fewer_steps
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Progress, ProgressLine
+from imr_torch.types import Progress, report_progress
 
 _OTHER_NOISE = 1.5  # factor from which on noise that is inferred anew changes a diagnosis
 
@@ -156,10 +156,11 @@ def diagnose(
     nothing = Hypothesis(base)
     left = inquiry.test(null, nothing, seed=child(seed, "gap"))
     gap = left.test
-    if progress:
-        text = f"gap test: {p_value(gap.p_value)}, leading block {gap.blocks[0].name}"
-        progress(ProgressLine(text, stage="effects" if gap.found else "figures"))
-
+    report_progress(
+        progress,
+        f"gap test: {p_value(gap.p_value)}, leading block {gap.blocks[0].name}",
+        stage="effects" if gap.found else "figures",
+    )
     found = Finding(
         "none", (), "No test of the curves rejects the base model.", nothing, null
     )

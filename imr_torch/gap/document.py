@@ -30,8 +30,7 @@ from imr_torch.goodness.phases import PHASES, phase_numbers
 from imr_torch.goodness.score import ADEQUATE
 from imr_torch.html import render
 from imr_torch.labels import p_value
-from imr_torch.material import LIBRARY, PARAMETERS
-from imr_torch.material.model_belief import intervals
+from imr_torch.material import LIBRARY, PARAMETERS, Intervals, intervals
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
 from imr_torch.unknown import CommonUnknown, Unknown
@@ -198,7 +197,7 @@ def _values(report: GapReport, parts: Parts) -> Document:
     }
 
 
-def _cause_values(report: GapReport, named: ModelFit) -> dict[str, dict[str, list[float]]]:
+def _cause_values(report: GapReport, named: ModelFit) -> dict[str, Intervals]:
     """Named effect -> its parameters; members of a class that the leading fit does not hold have the
     values of their own fits.
     """

@@ -35,7 +35,7 @@ from imr_torch.observe import Experiment
 from imr_torch.random import SeedLike, child, generator
 from imr_torch.simulate import Simulator, fewer_steps
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Directions, FrameMask, Progress, ProgressLine, within
+from imr_torch.types import Directions, FrameMask, Progress, report_progress, within
 from imr_torch.unknown import Unknown, choose_shot, infer_unknown
 
 _GRID = (
@@ -167,9 +167,8 @@ def examine(
     why = "the cause is not sure" if searching else ""
     size = _SEARCH[report.batch.noise_laws is not None] if searching else 1.0
     progress = within(progress, 0.0, 1.0, name=why, size=size)
-    if progress:
-        text = "location, shrinkage, next design, what is missing"
-        progress(ProgressLine(text, stage="location", part=0.0))
+    text = "location, shrinkage, next design, what is missing"
+    report_progress(progress, text, stage="location", part=0.0)
     judging = replace(report.batch, experiments=tuple(unseen)) if unseen else None
     unknown = _unknown(report, simulator)
     return replace(

@@ -31,8 +31,7 @@ from imr_torch.assimilate.map_fit import assimilate_model
 from imr_torch.assimilate.starts import draw_perturbation
 from imr_torch.float64 import randn
 from imr_torch.gap.hypotheses import Hypothesis, Inquiry, overdispersion, scatters
-from imr_torch.material import Belief
-from imr_torch.material.belief import even_belief
+from imr_torch.material import Belief, even_belief
 from imr_torch.observe import NUISANCES, ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator, coarser
@@ -386,7 +385,7 @@ def fit_alone(inquiry: Inquiry, fit: ModelFit, *, seed: int) -> tuple[ModelFit, 
         single = replace(inquiry, batch=one, progress=None)
         alone = assimilate_model(
             Posterior(fit.prior, one, inquiry.simulator),
-            Point(starts, known.expand(len(starts), -1, -1)),
+            Point(starts, known),
             seed=seed_here,
             options=_EVERY_START,
         )

@@ -31,7 +31,7 @@ from imr_torch.goodness.phases import PHASES, noise_shares, phase_clock, phase_n
 from imr_torch.observe import NUISANCES, ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
-from imr_torch.types import FrameValues, Progress, ProgressLine
+from imr_torch.types import FrameValues, Progress, report_progress
 
 # prior standard deviations between the starts of a training fit: many posterior ones, and inside
 # one basin
@@ -198,11 +198,14 @@ def judge_designs(
         if designs is None:
             designs = _part(report.batch, out)
             hypothesis, fit, base, base_fit = fold.select_again()
-            if progress:
-                labels = ", ".join(one.label for one in designs.experiments)
-                text = f"without {labels}: {hypothesis.name}"
-                done = number + 1
-                progress(ProgressLine(text, step="held out", done=done, of=len(folds)))
+            labels = ", ".join(one.label for one in designs.experiments)
+            report_progress(
+                progress,
+                f"without {labels}: {hypothesis.name}",
+                step="held out",
+                done=number + 1,
+                of=len(folds),
+            )
         line = linearise_fit(base_fit, base.seen(fold.training), simulator)
         beside = None
         if report.within_misfit is not None:
@@ -339,10 +342,9 @@ class _Fold:
         for hypothesis, fit in known:
             beside = _APART * randn(_OPTIONS.starts - 1, len(fit.mean), generator=source)
             gels = torch.cat((fit.mean[None], fit.mean + beside))
-            nuisances = fit.nuisances[self.kept].expand(len(gels), -1, -1)
             fits[hypothesis.name] = assimilate_model(
                 Posterior(fit.prior, hypothesis.seen(self.training), self.simulator),
-                Point(gels, nuisances),
+                Point(gels, fit.nuisances[self.kept]),
                 seed=seed,
                 options=_OPTIONS,
             )

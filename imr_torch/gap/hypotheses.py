@@ -16,8 +16,7 @@ from torch import Tensor
 from imr_torch.assimilate import ModelFit
 from imr_torch.float64 import tensor
 from imr_torch.gap.adequacy import Adequacy, adequacy_test
-from imr_torch.material import Effect, ModelBelief
-from imr_torch.material.model_belief import add_parameters
+from imr_torch.material import Effect, ModelBelief, add_parameters
 from imr_torch.observe import NUISANCES, ExperimentBatch
 from imr_torch.population import SCALE
 from imr_torch.simulate import Simulator

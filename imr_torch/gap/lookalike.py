@@ -123,7 +123,7 @@ def likeness(size: float, left: Adequacy, *, seed: int) -> Likeness:
     beyond, every = _in_own_span(every, line)
     owners = [name for name, own in every.items() if name in left.beside for _ in own]
     if not owners:
-        return Likeness(size, torch.full((1, 1), -math.inf), ones(1))
+        return Likeness(size, full((1, 1), -math.inf), ones(1))
     known = torch.cat([own for name, own in every.items() if name in left.beside])
     laws = every.get(STATE_LAW, known[:0])
     mixed = randn(_LAWS if len(laws) else 0, len(laws), generator=source) @ laws

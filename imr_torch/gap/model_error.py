@@ -48,8 +48,7 @@ from imr_torch.gap.verdict import NONE, OTHER, PRIOR_TWO, SLOW_NOISE
 from imr_torch.goodness.linear import Linearisation
 from imr_torch.goodness.phases import phase_clock
 from imr_torch.goodness.score import LEVEL, PULSES, STATE_LAW, differentiate
-from imr_torch.material import Effect
-from imr_torch.material.model_belief import LEVELS
+from imr_torch.material import LEVELS, Effect, Intervals
 from imr_torch.random import child, generator
 from imr_torch.types import DrawnControls
 from imr_torch.unknown.linear import LinearSystem
@@ -93,7 +92,7 @@ class ModelError:
     10400.0
     """
 
-    intervals: dict[str, list[float]]
+    intervals: Intervals
     bound: float
 
 

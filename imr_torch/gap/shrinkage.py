@@ -36,7 +36,7 @@ from imr_torch.goodness.score import ADEQUATE
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
-from imr_torch.types import Progress, ProgressLine, within
+from imr_torch.types import Progress, report_progress, within
 
 TURN = 1.5
 """Reading of the phase clock at the first rebound's maximum."""
@@ -220,11 +220,10 @@ def _placebo(
             change = own.by_gel @ gel[: own.by_gel.shape[1]] + amplitudes @ rows
             after += float(pair.excess(own.residual - change).sum())
         shares.append(max(-_WIDEST, min(_WIDEST, 1.0 - after / before)))
-        if progress:
-            done = number + 1
-            progress(
-                ProgressLine(f"placebo {done}/{count}", step="placebo", done=done, of=count)
-            )
+        done = number + 1
+        report_progress(
+            progress, f"placebo {done}/{count}", step="placebo", done=done, of=count
+        )
     return tuple(sorted(shares))
 
 

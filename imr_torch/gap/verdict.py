@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 from imr_torch.assimilate import Assimilation, ModelFit, WeighingOptions, weigh
 from imr_torch.errors import ConvergenceError
-from imr_torch.material.belief import even_belief
+from imr_torch.material import even_belief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
 from imr_torch.types import Progress

@@ -23,7 +23,7 @@ from imr_torch.gap.verdict import NONE
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import child
 from imr_torch.simulate import Simulator
-from imr_torch.types import ProgressLine, within
+from imr_torch.types import report_progress, within
 
 WIDE = 0.5
 """Time of a selection with wide noise over that of one with the camera's."""
@@ -271,8 +271,8 @@ def fit_with_noise(
         if of_misfit:  # enlarged only at last: a fit by wide noise leaves more
             noise = noise.for_fits(widen=number + 1 == _NOISE_ROUNDS)
         inquiry = replace(inquiry, batch=noise.applied(inquiry.batch))
-        if inquiry.progress:
-            inquiry.progress(ProgressLine(f"noise {inquiry.batch.noise}", step="noise"))
+        text = f"noise {inquiry.batch.noise}"
+        report_progress(inquiry.progress, text, step="noise")
         if held.parts:
             fit = finish(inquiry, fit, held, seed=child(seed, number))
         else:

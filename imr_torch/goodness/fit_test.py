@@ -9,13 +9,13 @@ diagnosis.
 """
 
 import time
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import torch
 
-from imr_torch.assimilate import ModelFit, Posterior, infer_frame_noise
+from imr_torch.assimilate import ModelFit, infer_frame_noise
 from imr_torch.assimilate.noise_estimation import determines_noise
+from imr_torch.files import Document
 from imr_torch.goodness.linear import Linearisation, linearise_fit, whiten_rows
 from imr_torch.goodness.phases import phase_clock, phase_name
 from imr_torch.goodness.score import LEVEL, gap_test, generic_blocks
@@ -80,7 +80,7 @@ class FitTest:
         }
         return render("fit_test.txt", test=self, **names).strip()
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """JSON-ready values."""
         document = vars(self) | {"noise": None if self.noise is None else vars(self.noise)}
         return document | {
@@ -133,10 +133,8 @@ def check_fit(
     clock = phase_clock(batch.times, fit.prediction, batch.mask)
     near = fit.linearise(batch, simulator)
     batch = infer_frame_noise(near).applied(batch)
-    fit, line = _move_to_noise(fit, batch, simulator)
-    test = gap_test(
-        generic_blocks(fit, batch, simulator, line), line, seed=child(seed, "fit test")
-    )
+    line = _move_to_noise(linearise_fit(fit, batch, simulator))
+    test = gap_test(generic_blocks(line), line, seed=child(seed, "fit test"))
     if test.found and not fit.certificate.usable:
         return FitTest(
             fit.model,
@@ -159,30 +157,21 @@ def check_fit(
     )
 
 
-def _move_to_noise(
-    fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, far: float = 4.0
-) -> tuple[ModelFit, Linearisation]:
+def _move_to_noise(line: Linearisation, *, far: float = 4.0) -> Linearisation:
     """The fit after one Gauss-Newton step under the noise of the test, where that lowers the cost
     and is longer than ``far`` posterior standard deviations in all.
     """
-    line = linearise_fit(fit, batch, simulator)
     if (line.basis.mT @ line.residual).norm() < far:
-        return fit, line
-    posterior = Posterior(fit.prior, batch, simulator)
+        return line
+    posterior = line.near.posterior
     step = line.to_shift @ line.residual
     for factor in (1.0, 0.3):
         near = posterior.neighbourhood(
-            posterior.point_at(posterior.coordinates_of(fit.point) + factor * step)
+            posterior.point_at(line.near.coordinates + factor * step)
         )
         if not torch.isfinite(near.centre).all():
             continue
         own = whiten_rows(near)
         if own.residual.square().sum() < line.residual.square().sum():
-            moved = replace(
-                fit,
-                mean=near.point.gel,
-                nuisances=near.point.nuisances,
-                prediction=near.centre,
-            )
-            return moved, own
-    return fit, line
+            return own
+    return line

@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from imr_torch.assimilate import ModelFit, Neighbourhood, Posterior
+from imr_torch.assimilate import ModelFit, Neighbourhood
 from imr_torch.float64 import eye, zeros
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import ExperimentBatch, predict
@@ -32,16 +32,27 @@ class Linearisation:
     Args:
         residual: ``N`` tensor, whitened; data first, then the priors of gel and nuisances.
         fitted: ``N x k`` tensor, sensitivities to all that was fitted.
-        prediction: ``E x T`` tensor, R/Rmax.
-        sd: ``E x T`` tensor, noise of one repeat.
-        batch: the data.
+        near: the bubbles at the fit and beside it.
     """
 
     residual: Float[Tensor, "rows"]
     fitted: Float[Tensor, "rows fitted"]
-    prediction: ExperimentFrames
-    sd: ExperimentFrames
-    batch: ExperimentBatch
+    near: Neighbourhood
+
+    @property
+    def batch(self) -> ExperimentBatch:
+        """The data."""
+        return self.near.posterior.batch
+
+    @property
+    def prediction(self) -> ExperimentFrames:
+        """``E x T`` tensor, R/Rmax at the fit."""
+        return self.near.centre
+
+    @cached_property
+    def sd(self) -> ExperimentFrames:
+        """``E x T`` tensor, noise of one repeat at the fit."""
+        return self.batch.sd(self.prediction)
 
     @property
     def basis(self) -> Float[Tensor, "rows fitted"]:
@@ -94,33 +105,31 @@ class Linearisation:
         return rows - (rows @ self.basis) @ self.basis.mT
 
 
-def predict_changed(
-    fit: ModelFit,
-    batch: ExperimentBatch,
-    simulator: Simulator,
+def predict_changes(
+    line: Linearisation,
     changes: Sequence[dict[str, float]],
-    shift: Float[Tensor, "moved fitted"] | None = None,
+    shift: Float[Tensor, "moved fitted"] | float = 0.0,
 ) -> Float[Tensor, "moved experiments frames"]:
-    """Predictions at the fit with parameters changed, one row a change: ``K x E x T``; NaN where a
-    solve failed.
+    """What other values of parameters change in the prediction at a fit, one row a change: ``K x E
+    x T``; NaN where a solve failed.
 
     Args:
-        fit: the fit.
-        batch: the data.
-        simulator: makes the bubbles.
+        line: the fit.
         changes: parameters that take other values.
-        shift: ``K x k`` tensor by which everything fitted is moved besides; none by default.
+        shift: ``K x k`` tensor by which everything fitted is moved besides.
     """
+    batch = line.batch
     if not changes:
         return zeros(0, *batch.times.shape)
-    posterior = Posterior(fit.prior, batch, simulator)
-    flat = posterior.coordinates_of(fit.point).expand(len(changes), -1)
-    point = posterior.point_at(flat if shift is None else flat + shift)
-    parameters = fit.prior.to_si(point.gel).clone()
+    posterior = line.near.posterior
+    coordinates = line.near.coordinates.expand(len(changes), -1)
+    point = posterior.point_at(coordinates + shift)
+    parameters = posterior.prior.to_si(point.gel).clone()
     for row, change in zip(parameters, changes, strict=True):
         for name, value in change.items():
             row[PARAMETERS.index([name])[0]] = value
-    return predict(simulator, parameters, batch, point.nuisances * batch.nuisance_sds)
+    shifts = point.nuisances * batch.nuisance_sds
+    return predict(posterior.simulator, parameters, batch, shifts) - line.prediction
 
 
 def linearise_fit(
@@ -140,4 +149,4 @@ def whiten_rows(near: Neighbourhood) -> Linearisation:
     fitted = torch.cat((data, -eye(data.shape[1])))
     observed = batch.whiten(batch.mean - near.centre, sd).flatten()
     residual = torch.cat((observed, near.coordinates))
-    return Linearisation(residual, fitted, near.centre, sd, batch)
+    return Linearisation(residual, fitted, near)

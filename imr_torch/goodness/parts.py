@@ -11,7 +11,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import torch
 from scipy.special import ndtri
@@ -20,11 +19,12 @@ from torch import Tensor
 from imr_torch.assimilate import ModelFit, Point, Posterior
 from imr_torch.assimilate.fit import NEARLY
 from imr_torch.assimilate.local_minimum import descend_from
+from imr_torch.files import Document
 from imr_torch.float64 import linspace
 from imr_torch.goodness.linear import whiten_rows
 from imr_torch.goodness.phases import phase_clock
 from imr_torch.html import render
-from imr_torch.material.model_belief import intervals
+from imr_torch.material import Intervals, intervals
 from imr_torch.observe import ExperimentBatch
 from imr_torch.simulate import Simulator
 from imr_torch.types import FrameMask
@@ -105,7 +105,7 @@ class PartsTest:
         """
         return render("parts.txt", test=self).splitlines()
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """JSON-ready values."""
         return vars(self) | {
             "parts": [vars(part) for part in self.parts],
@@ -209,7 +209,7 @@ def fit_frames(
     *,
     start: Point | None = None,
     iterations: int = 20,
-) -> tuple[Tensor, dict[str, list[float]], bool]:
+) -> tuple[Tensor, Intervals, bool]:
     """Fit some of the frames, with the solver steps of the fit of all.
 
     Args:
@@ -239,7 +239,7 @@ def fit_frames(
 
 def follow_gel(
     fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, *, windows: int = 8
-) -> list[dict[str, Any]]:
+) -> list[Document]:
     """The gel of one stretch of the event after another, each fitted alone, under the same prior.
 
     What the field draws as G(t) and mu(t). A value that drifts says that one gel does not explain

@@ -19,15 +19,13 @@ from jaxtyping import Float
 from scipy.special import chdtri, chndtr
 from torch import Tensor
 
-from imr_torch.assimilate import ModelFit
 from imr_torch.float64 import eye, linspace, ones, randn, tensor
-from imr_torch.goodness.linear import Linearisation, predict_changed
+from imr_torch.goodness.linear import Linearisation, predict_changes
 from imr_torch.goodness.phases import noise_shares, phase_numbers
 from imr_torch.material import Effect
 from imr_torch.observe import ExperimentBatch
 from imr_torch.random import generator
-from imr_torch.simulate import Simulator
-from imr_torch.types import Directions, ExperimentFrames, Values
+from imr_torch.types import Directions, DirectionsByName, ExperimentFrames, Values
 
 LEVEL = 0.04
 """Chance of a gap being found where there is none."""
@@ -108,24 +106,25 @@ class GapTest:
         return self.p_value < LEVEL
 
 
-def effect_directions(
-    effects: Sequence[Effect],
-    fit: ModelFit,
-    batch: ExperimentBatch,
-    simulator: Simulator,
-    line: Linearisation,
-) -> dict[str, Directions]:
+def list_starts(effects: Sequence[Effect]) -> list[dict[str, float]]:
+    """The parameters of each effect at each of its starts, one effect after the other."""
+    return [
+        dict(zip(effect.names, start, strict=True))
+        for effect in effects
+        for start in effect.starts
+    ]
+
+
+def effect_directions(effects: Sequence[Effect], line: Linearisation) -> DirectionsByName:
     """What each effect changes at each of its starts, whitened: name -> ``S x N``; zero for a start
     that fails.
     """
-    starts = [(effect, start) for effect in effects for start in effect.starts]
-    changes = [dict(zip(effect.names, start, strict=True)) for effect, start in starts]
-    rows = line.whiten(predict_changed(fit, batch, simulator, changes) - line.prediction)
+    rows = line.whiten(predict_changes(line, list_starts(effects)))
     rows = torch.where(torch.isfinite(rows).all(1, keepdim=True), rows, 0.0)
     return split_by_effect(rows, effects)
 
 
-def split_by_effect(rows: Directions, effects: Sequence[Effect]) -> dict[str, Directions]:
+def split_by_effect(rows: Directions, effects: Sequence[Effect]) -> DirectionsByName:
     """Rows of the starts of several effects, one effect after the other, by its name."""
     parts = rows.split([len(effect.starts) for effect in effects])
     return {effect.name: part for effect, part in zip(effects, parts, strict=True)}
@@ -200,33 +199,25 @@ def make_block(
     return Block(name, u[:, s > rank * s[0]], size)
 
 
-def generic_blocks(
-    fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, line: Linearisation
-) -> list[Block]:
+def generic_blocks(line: Linearisation) -> list[Block]:
     """Blocks that stand for no effect in particular (:func:`generic_rows`)."""
-    return [
-        make_block(name, rows, line)
-        for name, rows in generic_rows(fit, batch, simulator, line).items()
-    ]
+    return [make_block(name, rows, line) for name, rows in generic_rows(line).items()]
 
 
-def generic_rows(
-    fit: ModelFit, batch: ExperimentBatch, simulator: Simulator, line: Linearisation
-) -> dict[str, Directions]:
+def generic_rows(line: Linearisation) -> DirectionsByName:
     """Whitened rows that stand for no effect: generic stress laws, pulses, drifting parameters,
     distorted output.
     """
+    batch = line.batch
     experiments = len(batch.experiments)
     times = batch.times
     last = float(times[batch.mask].max())
     laws = [{name: step} for name, step in LAW_STEPS]
     changes = [*pulse_changes(batch), *laws]
-    rows = line.whiten(
-        (predict_changed(fit, batch, simulator, changes) - line.prediction).nan_to_num()
-    )
+    rows = line.whiten(predict_changes(line, changes).nan_to_num())
     pulses = rows[: -len(laws)]
     data = times.numel()
-    gel = line.pad_rows(line.fitted[:data, : len(fit.mean)].mT)
+    gel = line.pad_rows(line.fitted[:data, : line.near.posterior.size].mT)
     early = line.pad_rows((times < 0.5 * last).flatten().to(gel))
     found = {
         STATE_LAW: rows[-len(laws) :],

@@ -1,10 +1,17 @@
 """The gel: parameters, constitutive models, effects, and what is believed of them."""
 
-from imr_torch.material.belief import Belief, Draws
+from imr_torch.material.belief import Belief, Draws, even_belief
 from imr_torch.material.cases import CASES, ReferenceCase, reference_case, wide_prior
 from imr_torch.material.effect import LIBRARY, Effect, library, register_effect
 from imr_torch.material.marginals import LogNormal, Marginal, TruncatedNormal
-from imr_torch.material.model_belief import Cloud, ModelBelief
+from imr_torch.material.model_belief import (
+    LEVELS,
+    Cloud,
+    Intervals,
+    ModelBelief,
+    add_parameters,
+    intervals,
+)
 from imr_torch.material.models import (
     MATERIALS,
     PARTS,
@@ -20,6 +27,7 @@ from imr_torch.material.stress import Stress, StressTerm, derivatives, gel_respo
 
 __all__ = [
     "CASES",
+    "LEVELS",
     "LIBRARY",
     "MATERIALS",
     "PARAMETERS",
@@ -29,6 +37,7 @@ __all__ = [
     "Cloud",
     "Draws",
     "Effect",
+    "Intervals",
     "LogNormal",
     "Marginal",
     "Material",
@@ -39,9 +48,12 @@ __all__ = [
     "Stress",
     "StressTerm",
     "TruncatedNormal",
+    "add_parameters",
     "derivatives",
     "dimensionless",
+    "even_belief",
     "gel_response",
+    "intervals",
     "library",
     "material",
     "reference_case",

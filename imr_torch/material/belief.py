@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from imr_torch.errors import InputDataError
-from imr_torch.files import read_json, write_json
+from imr_torch.files import Document, read_json, write_json
 from imr_torch.float64 import tensor, zeros
 from imr_torch.material.marginals import Marginal, marginal_from_dict, marginal_to_dict
 from imr_torch.material.model_belief import Cloud, ModelBelief
@@ -164,7 +164,7 @@ class Belief:
             parameters[chosen] = drawn[chosen].to(parameters)
         return Draws(index, parameters)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """JSON-ready values; floats keep every bit."""
         return {
             "format": "imr_torch belief 1",
@@ -257,9 +257,9 @@ def _part_from_dict(entry: Mapping[str, Any]) -> ModelBelief:
     return part.with_cloud(draws)
 
 
-def _part_to_dict(part: ModelBelief) -> dict[str, Any]:
+def _part_to_dict(part: ModelBelief) -> Document:
     """Inverse of :func:`_part_from_dict`."""
-    entry: dict[str, Any] = {
+    entry: Document = {
         "model": part.model,
         "names": list(part.names),
         "marginals": [marginal_to_dict(m) for m in part.marginals],

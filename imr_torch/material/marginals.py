@@ -10,14 +10,14 @@ import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Protocol
+from typing import ClassVar, Protocol
 
 import torch
 from torch import Tensor
 from torch.special import ndtri
 
 from imr_torch.errors import InputDataError
-from imr_torch.files import without_nonfinite
+from imr_torch.files import Document, without_nonfinite
 from imr_torch.types import Values
 
 LEAST_PROBABILITY = 1e-300
@@ -215,13 +215,13 @@ MARGINALS: dict[str, Callable[..., Marginal]] = {
 }
 
 
-def marginal_to_dict(marginal: Marginal) -> dict[str, Any]:
+def marginal_to_dict(marginal: Marginal) -> Document:
     """The marginal as JSON-ready values; infinite bounds become ``None``."""
     fields = without_nonfinite(asdict(marginal))[0]  # type: ignore[call-overload]
     return {"kind": type(marginal).__name__, **fields}
 
 
-def marginal_from_dict(document: dict[str, Any]) -> Marginal:
+def marginal_from_dict(document: Document) -> Marginal:
     """Inverse of :func:`marginal_to_dict`.
 
     Raises:

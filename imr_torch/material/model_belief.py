@@ -35,6 +35,8 @@ from imr_torch.types import (
 
 LEVELS = (0.05, 0.5, 0.95)
 """Quantiles that an interval states."""
+Intervals = dict[str, list[float]]
+"""Parameter -> its value at these quantiles, SI."""
 
 
 @dataclass(frozen=True)
@@ -316,7 +318,7 @@ def add_parameters(part: ModelBelief, priors: Mapping[str, Marginal]) -> ModelBe
     )
 
 
-def intervals(belief: ModelBelief) -> dict[str, list[float]]:
+def intervals(belief: ModelBelief) -> Intervals:
     """Parameter -> [5 %, 50 %, 95 %] quantile, SI.
 
     >>> from imr_torch import wide_prior

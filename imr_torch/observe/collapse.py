@@ -33,6 +33,8 @@ from imr_torch.reading.table import read_text
 from imr_torch.simulate import check_designs
 from imr_torch.units import Surroundings
 
+ShotValues = Float[Tensor, "shots"]
+"""A number of each shot."""
 RESOLUTION_S = 20e-9
 """Error of a collapse time that a file does not state: what Zhu et al. (2025) give for theirs."""
 
@@ -294,9 +296,7 @@ def _shots_of_table(path: Path, stated: Statement | None) -> list[CollapseShot]:
     return shots
 
 
-def serial_correlation(
-    values: Float[Tensor, "shots"], order: Float[Tensor, "shots"]
-) -> float:
+def serial_correlation(values: ShotValues, order: ShotValues) -> float:
     """Correlation of each value with the next one in an order, times the root of their number:
     standard normal if independent.
 
@@ -315,9 +315,7 @@ def serial_correlation(
     return float(product / values.square().sum().clamp_min(1e-300)) * math.sqrt(len(values))
 
 
-def estimate_scatter(
-    missed: Float[Tensor, "shots"], variance: Float[Tensor, "shots"], fitted: float
-) -> float:
+def estimate_scatter(missed: ShotValues, variance: ShotValues, fitted: float) -> float:
     """Further error of each time, dimensionless, with which chi-square equals its degrees of
     freedom; 0 if it is below.
 

@@ -13,11 +13,11 @@ import math
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Any
 
 import torch
 
 from imr_torch.errors import InputDataError
+from imr_torch.files import Document
 from imr_torch.html import render
 from imr_torch.observe.experiments import Experiment
 from imr_torch.observe.landmarks import Landmarks
@@ -171,7 +171,7 @@ class FrameUse:
         """The frames in words: how many were fitted, then every stretch that was not."""
         return render("frames.txt", use=self).splitlines()
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """JSON-ready values."""
         return {
             "recorded": len(self.fitted),

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field, replace
 
 import torch
-from jaxtyping import Float, Real
+from jaxtyping import Float
 from torch import Tensor
 
 from imr_torch.errors import ConvergenceError, check_at_least
@@ -14,7 +14,7 @@ from imr_torch.observe.nuisance import Nuisance
 from imr_torch.observe.prediction import predict
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
-from imr_torch.types import FrameValues
+from imr_torch.types import Design, FrameValues
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class SimulatedLaboratory:
     def __post_init__(self) -> None:
         check_at_least(self, 1, "repeats")
 
-    def shoot(self, design: Real[Tensor, "2"], *, seed: int, label: str = "") -> Experiment:
+    def shoot(self, design: Design, *, seed: int, label: str = "") -> Experiment:
         """One experiment at ``design`` (2 numbers, We and R_inf*).
 
         Raises:

@@ -17,10 +17,16 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from imr_torch.errors import InputDataError
+from imr_torch.files import Document
 from imr_torch.html import render
-from imr_torch.material import Belief, Marginal, ModelBelief, TruncatedNormal
+from imr_torch.material import (
+    Belief,
+    Marginal,
+    ModelBelief,
+    TruncatedNormal,
+    add_parameters,
+)
 from imr_torch.material.media import named_medium
-from imr_torch.material.model_belief import add_parameters
 from imr_torch.reading.statement import PROPERTIES, Entry, Statement
 from imr_torch.simulate import Simulator
 from imr_torch.simulate.conditions import saturation_pressure
@@ -168,7 +174,7 @@ class GelMedium:
         """All values with who stated them, sources of named media, and what was stated twice."""
         return render("medium.txt", medium=self, fields=_FIELDS, label=label).rstrip("\n")
 
-    def to_dict(self) -> dict[str, dict[str, Any]]:
+    def to_dict(self) -> dict[str, Document]:
         """JSON-ready: field -> value, unit, standard deviation (None: exact), whether it was
         stated, and by whom.
         """

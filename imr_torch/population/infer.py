@@ -35,8 +35,7 @@ from imr_torch.assimilate import (
 from imr_torch.assimilate.noise_estimation import freedom_of
 from imr_torch.errors import InputDataError
 from imr_torch.float64 import tensor, zeros
-from imr_torch.material import LogNormal, ModelBelief
-from imr_torch.material.belief import even_belief
+from imr_torch.material import LogNormal, ModelBelief, even_belief
 from imr_torch.observe import Experiment, ExperimentBatch, Noise
 from imr_torch.observe.noise import FEWEST_RESIDUALS
 from imr_torch.population.closed_form import MOST
@@ -51,7 +50,7 @@ from imr_torch.population.sampling import (
 from imr_torch.random import child, generator
 from imr_torch.simulate import Simulator
 from imr_torch.threads import one_torch_thread
-from imr_torch.types import Controls, Progress, ProgressLine
+from imr_torch.types import Controls, Progress, report_progress
 
 SCALE = 0.3
 """Scale of the half-normal prior of each scatter: of ln G, ln mu, and of the control of other parameters."""
@@ -121,10 +120,9 @@ def fit_shots(
     steps = (rounds + 1 + draws) * len(labels)
 
     def report_shot(what: str, label: str, done: int, state: str) -> None:
-        if progress:
-            step = f"{what}: {label}"
-            text = f"{step}, {done}/{steps}, {state}"
-            progress(ProgressLine(text, stage="shots", step=step, done=done, of=steps))
+        step = f"{what}: {label}"
+        text = f"{step}, {done}/{steps}, {state}"
+        report_progress(progress, text, stage="shots", step=step, done=done, of=steps)
 
     for number in range(rounds + 1):
         last = number == rounds

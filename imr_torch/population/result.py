@@ -6,17 +6,16 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import scipy  # whose parts are imported when they are used; `stats` takes long
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from imr_torch.files import Document
 from imr_torch.float64 import randn
 from imr_torch.html import render
-from imr_torch.material import PARAMETERS, LogNormal, ModelBelief, material
-from imr_torch.material.model_belief import intervals
+from imr_torch.material import PARAMETERS, LogNormal, ModelBelief, intervals, material
 from imr_torch.observe import Noise
 from imr_torch.population.likelihood import ShotLikelihood
 from imr_torch.population.sampling import WeightedPopulation
@@ -244,11 +243,11 @@ class Population:
             "undecided": f"The {count} shots do not decide whether the gel differs between them.",
         }[self.verdict]
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """JSON-ready values; intervals are [5 %, 50 %, 95 %], SI."""
         parameters = {}
         for name, marginal in zip(self.prior.names, self.prior.marginals, strict=True):
-            entry: dict[str, Any] = {
+            entry: Document = {
                 "median": self.median(name),
                 "next_shot": self.next_shot(name),
                 "error": dict(zip(("median", "scatter"), self.error(name), strict=True)),

@@ -26,8 +26,7 @@ from imr_torch.assimilate.importance import (
 )
 from imr_torch.assimilate.proposals import student_draws, student_log_prob
 from imr_torch.float64 import rand, randn, tensor, zeros
-from imr_torch.material import ModelBelief
-from imr_torch.material.model_belief import LEVELS
+from imr_torch.material import LEVELS, ModelBelief
 from imr_torch.population.closed_form import GaussianShots, grid_scatters, positive_part
 from imr_torch.population.likelihood import ShotLikelihood, quadratic_form, solve_weighted
 from imr_torch.types import BatchControls, Controls, DrawnControls, DrawnValues

@@ -59,7 +59,7 @@ class ValueGrid:
         """Log of prior and likelihood on the grid."""
         return likelihoods @ self._powers + self._log_prior
 
-    def log_evidence(self, likelihoods: Likelihoods) -> Float[Tensor, "*batch"]:
+    def log_evidence(self, likelihoods: Likelihoods) -> Values:
         """Of a likelihood, nats."""
         return self.log_density(likelihoods).logsumexp(-1)
 

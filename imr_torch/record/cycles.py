@@ -4,11 +4,11 @@ and modulus that each looks like.
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from imr_torch.errors import InputDataError
+from imr_torch.files import Document
 from imr_torch.observe.landmarks import Landmarks
 from imr_torch.observe.plausibility import RAYLEIGH_TIME
 from imr_torch.reading.traces import RadiusTrace
@@ -122,7 +122,7 @@ class Cycle:
     skewness: float
     skewness_sd: float
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """JSON-ready but for NaN."""
         arrays = ("levels", "growth", "growth_sd", "collapse", "collapse_sd")
         return vars(self) | {name: getattr(self, name).tolist() for name in arrays}

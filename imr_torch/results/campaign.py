@@ -14,8 +14,7 @@ from imr_torch.document import describe_shot
 from imr_torch.files import Document, drawn_numbers
 from imr_torch.float64 import linspace
 from imr_torch.goodness import check_fit
-from imr_torch.material import Belief
-from imr_torch.material.model_belief import intervals
+from imr_torch.material import Belief, intervals
 
 
 def campaign_document(

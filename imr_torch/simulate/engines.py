@@ -26,7 +26,6 @@ from imr_torch.simulate.simulator import (
     Solution,
     in_transform,
     is_tracked,
-    members_together,
     solve_batch,
     solve_bundles,
 )
@@ -77,8 +76,7 @@ class EngineSimulator:
         inputs = (parameters, designs, times)
         if in_transform(*inputs) or is_tracked(*inputs):
             return differentiable(self, *inputs)
-        size = members_together(parameters, self.members, self.member_bytes)
-        return solve_batch(self._solve, size, inputs)
+        return solve_batch(self._solve, self._count_together(parameters), inputs)
 
     def bundle(
         self,
@@ -87,9 +85,20 @@ class EngineSimulator:
         times: FrameTimes,
     ) -> Solution:
         """Simulate bundles in lock step; see :meth:`imr_torch.simulate.Simulator.bundle`."""
-        size = members_together(parameters, self.members, self.member_bytes)
+        size = self._count_together(parameters)
         with torch.no_grad():
             return solve_bundles(self._solve, size, (parameters, designs, times))
+
+    def _count_together(self, parameters: Tensor) -> int:
+        """Members integrated together: on a processor so many that its cache holds them; on a GPU
+        as many as memory holds.
+
+        A GPU takes as long for one bubble as for thousands. Half of the memory that is free is used.
+        """
+        if not parameters.is_cuda:
+            return self.members
+        free, _ = torch.cuda.mem_get_info(parameters.device)
+        return max(self.members, free // (2 * self.member_bytes))
 
     def _solve(
         self, parameters: Tensor, designs: Tensor, times: Tensor, width: int = 1
@@ -97,21 +106,20 @@ class EngineSimulator:
         """One block of members, bundle after bundle: radius, velocity, pressure, status, steps."""
         raise NotImplementedError
 
+    def _can_compile(self, bubbles: Bubbles) -> bool:
+        """Whether the compiled engine integrates a batch.
 
-def can_compile(engine: Engine, bubbles: Bubbles) -> bool:
-    """Whether the compiled engine integrates a batch.
-
-    If it was asked for and cannot, the reason is given once.
-    """
-    if engine != "compiled":
-        return False
-    reason = _find_obstacle(bubbles)
-    if reason is not None:
-        _warn_once(
-            f"Bubbles are integrated by the torchdiffeq engine, since {reason}; results are the "
-            "same and take longer."
-        )
-    return reason is None
+        If it was asked for and cannot, the reason is given once.
+        """
+        if self.engine != "compiled":
+            return False
+        reason = _find_obstacle(bubbles)
+        if reason is not None:
+            _warn_once(
+                f"Bubbles are integrated by the torchdiffeq engine, since {reason}; results are "
+                "the same and take longer."
+            )
+        return reason is None
 
 
 def _find_obstacle(bubbles: Bubbles) -> str | None:

@@ -22,7 +22,7 @@ from imr_torch.simulate.clock import (
     time_per_tick,
 )
 from imr_torch.simulate.conditions import Stepping, compression_of
-from imr_torch.simulate.engines import EngineSimulator, can_compile
+from imr_torch.simulate.engines import EngineSimulator
 from imr_torch.simulate.simulator import RUNAWAY, Simulator, Status
 from imr_torch.simulate.wall import Head, gas_loss, move_wall, name_sonic, vapour_factor
 
@@ -64,7 +64,7 @@ class PolytropicSimulator(EngineSimulator):
         """
         bubbles = Bubbles.of(parameters, designs, self.conditions, self.terms)
         stepping = self.stepping
-        if can_compile(self.engine, bubbles):
+        if self._can_compile(bubbles):
             from imr_torch.simulate.compiled.run import solve_polytropic
 
             return solve_polytropic(bubbles, times, width, stepping, self.threads)

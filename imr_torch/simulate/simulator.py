@@ -364,23 +364,6 @@ def is_tracked(*tensors: Tensor) -> bool:
     return torch.is_grad_enabled() and any(x.requires_grad for x in tensors)
 
 
-def members_together(values: Tensor, most: int, size: int) -> int:
-    """Members integrated together: ``most`` on a processor, whose cache they are to fit; on a GPU
-    as many as memory holds.
-
-    A GPU takes as long for one bubble as for thousands. Half of the memory that is free is used.
-
-    Args:
-        values: a tensor on the device.
-        most: members on a processor.
-        size: bytes that a member takes while it is integrated.
-    """
-    if not values.is_cuda:
-        return most
-    free, _ = torch.cuda.mem_get_info(values.device)
-    return max(most, free // (2 * size))
-
-
 def in_transform(*tensors: Tensor) -> bool:
     """Whether a transform of ``torch.func`` is at work on one of them: its values cannot be looked
     at.

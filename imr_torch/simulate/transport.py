@@ -16,7 +16,7 @@ from torchdiffeq import odeint
 from imr_torch.errors import InputDataError, check_at_least
 from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.clock import bracket_times, ends_of, hermite_cubic, hermite_quintic
-from imr_torch.simulate.engines import EngineSimulator, can_compile
+from imr_torch.simulate.engines import EngineSimulator
 from imr_torch.simulate.grids import Resolution
 from imr_torch.simulate.ode_method import CONTROL, NOT_FINITE, TransportField
 from imr_torch.simulate.rhs import Equations
@@ -104,7 +104,7 @@ class TransportSimulator(EngineSimulator):
         """One block of members, bundle after bundle: radius, velocity, pressure, status, steps."""
         settings = self.accuracy
         bubbles = Bubbles.of(parameters, designs, self.conditions, self.terms)
-        if can_compile(self.engine, bubbles):
+        if self._can_compile(bubbles):
             from imr_torch.simulate.compiled.run import solve_transport
 
             limits = (settings.tolerance, settings.max_steps, FIRST_STEP)

@@ -31,12 +31,11 @@ from torch import Tensor
 from imr_torch.assimilate import ModelFit
 from imr_torch.errors import InputDataError
 from imr_torch.float64 import tensor, zeros
-from imr_torch.material import PARAMETERS, Effect
-from imr_torch.material.model_belief import LEVELS, ModelBelief
+from imr_torch.material import LEVELS, PARAMETERS, Effect, ModelBelief
 from imr_torch.observe import ExperimentBatch
 from imr_torch.population.shared_value import ValueGrid
 from imr_torch.simulate import Simulator
-from imr_torch.unknown.infer import CAMERA, SIZES, begin_search
+from imr_torch.unknown.infer import CAMERA, begin_search
 from imr_torch.unknown.kinds import (
     Columns,
     camera_errors,
@@ -46,8 +45,8 @@ from imr_torch.unknown.kinds import (
     function_of_time,
     material_state,
 )
-from imr_torch.unknown.search import KindFit, KindSearch
-from imr_torch.unknown.shot import Path
+from imr_torch.unknown.search import SIZES, KindFit, KindSearch
+from imr_torch.unknown.shot import Path, ShapedEffects
 
 CLEAR = 0.95
 """Probability from which on something is said."""
@@ -156,7 +155,7 @@ class FollowedGel:
     def tabulate(
         self,
         functions: Mapping[str, Columns],
-        effects: Sequence[tuple[Effect, Sequence[float]]],
+        effects: ShapedEffects,
     ) -> Table:
         """What all hypotheses need of the gel; an effect that leads is taken out of the curves."""
         search = self.search
@@ -216,7 +215,7 @@ class Causes:
     """
 
     widths: dict[str, int]
-    effects: Sequence[tuple[Effect, Sequence[float]]]
+    effects: ShapedEffects
 
     @property
     def names(self) -> list[str]:

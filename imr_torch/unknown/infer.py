@@ -50,10 +50,6 @@ TERMS: Mapping[str, Callable[[Path], Tensor]] = {
 """Plain terms that an unknown pressure is compared with, each with one size for all shots."""
 
 
-SIZES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
-"""Sizes of what may be missing, over its usual size."""
-
-
 @dataclass(frozen=True)
 class MissingPressure:
     """The missing pressure in one shot, beside the base model's gel as fitted.
@@ -113,12 +109,7 @@ class Unknown:
 
 
 def infer_unknown(
-    fit: ModelFit,
-    batch: ExperimentBatch,
-    simulator: Simulator,
-    *,
-    sizes: Sequence[float] = SIZES,
-    rounds: int = 8,
+    fit: ModelFit, batch: ExperimentBatch, simulator: Simulator
 ) -> Unknown | None:
     """What a fitted base model misses.
 
@@ -126,8 +117,6 @@ def infer_unknown(
         fit: of the base model to the batch.
         batch: the data, curves only.
         simulator: makes the bubbles.
-        sizes: that the evidence averages over.
-        rounds: trajectories that are simulated again for a kind, at most.
 
     Returns:
         None where a bubble of the fit cannot be simulated, the data are not curves, or the
@@ -150,7 +139,7 @@ def infer_unknown(
     >>> unknown.explained > 10.0, unknown.probabilities["camera"] < 0.01
     (True, True)
     """
-    search = begin_search(fit, batch, simulator, sizes, rounds)
+    search = begin_search(fit, batch, simulator)
     if search is None:
         return None
     paths = [response.path for response in search.responses]
@@ -190,11 +179,7 @@ def infer_unknown(
 
 
 def begin_search(
-    fit: ModelFit,
-    batch: ExperimentBatch,
-    simulator: Simulator,
-    sizes: Sequence[float] = SIZES,
-    rounds: int = 8,
+    fit: ModelFit, batch: ExperimentBatch, simulator: Simulator
 ) -> KindSearch | None:
     """A search of what a fitted base model misses; arguments and None as of :func:`infer_unknown`."""
     if bool(batch.collapse.any()) or not is_dataclass(simulator):
@@ -203,7 +188,7 @@ def begin_search(
         Shot(fit.prior, replace(batch, experiments=(experiment,)), simulator)
         for experiment in batch.experiments
     )
-    search = KindSearch(fit, batch.nuisance_sds > 0.0, shots, sizes, rounds)
+    search = KindSearch(fit, batch.nuisance_sds > 0.0, shots)
     paths = [response.path for response in search.responses]
     finite = all(bool(torch.isfinite(path.radius).all()) for path in paths)
     return search if finite else None

@@ -14,10 +14,13 @@ from torch import Tensor
 from imr_torch.assimilate import ModelFit
 from imr_torch.errors import InputDataError
 from imr_torch.float64 import eye, tensor, zeros
-from imr_torch.types import Controls
+from imr_torch.types import Controls, Nuisances
 from imr_torch.unknown.kinds import Columns
 from imr_torch.unknown.linear import LinearSystem
 from imr_torch.unknown.shot import Response, Shot
+
+SIZES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
+"""Sizes of what may be missing, over its usual size, that evidence averages over."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +30,7 @@ class State:
     """
 
     gel: Controls
-    nuisances: Float[Tensor, "experiments nuisances"]
+    nuisances: Nuisances
     weights: Float[Tensor, "weights"]
     made: tuple[Tensor, ...]
     inside: bool = True
@@ -102,15 +105,11 @@ class KindSearch:
         base: the base model's fit.
         uncertain: ``E x w`` boolean tensor, nuisances that are uncertain.
         shots: the data.
-        sizes: that the evidence averages over.
-        rounds: trajectories that are simulated again, at most.
     """
 
     base: ModelFit
     uncertain: Bool[Tensor, "experiments nuisances"]
     shots: Sequence[Shot]
-    sizes: Sequence[float]
-    rounds: int
 
     @cached_property
     def still(self) -> State:
@@ -141,6 +140,7 @@ class KindSearch:
         lead: KindFit | None = None,
         settled: tuple[float, float] = (1.0, 3e-4),
         halvings: int = 6,
+        rounds: int = 8,
     ) -> KindFit:
         """A kind, each step halved until it descends.
 
@@ -151,6 +151,7 @@ class KindSearch:
                 else at those of the base model.
             settled: nats that a further round must gain, and their share of all that were gained.
             halvings: lengths of a step that are tried.
+            rounds: trajectories that are simulated again, at most.
         """
         still = self.still if inside else self.without_pressure(self.still)
         found = self.linearise(columns, still, self.responses)
@@ -160,7 +161,7 @@ class KindSearch:
             if self._cost(led.aim, led.size) < self._cost(found.state, led.size):
                 found = self.linearise(columns, led.aim, self.respond(led.aim))
         first = self._cost(still, found.size)
-        for _ in range(self.rounds - 1):
+        for _ in range(rounds - 1):
             before = self._cost(found.state, found.size)
             for number in range(halvings):
                 moved = found.state.towards(found.aim, 0.5**number)
@@ -181,9 +182,9 @@ class KindSearch:
         """A kind about a state that another may have made."""
         own = self.make(columns, responses)
         system = self.assemble(state, responses, own)
-        solved = {size: system.solve(size) for size in self.sizes}
+        solved = {size: system.solve(size) for size in SIZES}
         logs = tensor([refit.log_evidence for refit in solved.values()])
-        size = self.sizes[int(logs.argmax())]
+        size = SIZES[int(logs.argmax())]
         evidence = float(logs.logsumexp(0)) - math.log(len(logs))
         aim = self._aim(state, solved[size].solution, size, own)
         return KindFit(state, responses, system, size, evidence, aim)

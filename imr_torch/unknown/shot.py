@@ -33,6 +33,10 @@ from imr_torch.types import Controls, FrameValues
 
 Fine = Float[Tensor, "fine"]
 """A number at each of the fine times of a trajectory."""
+ShapedEffects = Sequence[tuple[Effect, Sequence[float]]]
+"""Effects, each with its parameters beside the strength."""
+Pulses = Float[Tensor, "pulses"]
+"""A pressure, or another number, of each pulse."""
 SPACING = 0.04
 """Width and spacing of the pulses in t*: about a frame. Half of it changes the log evidence of two test sets by .2 and .7 nats,
 and their pressures by .1 and .4 standard deviations (median)."""
@@ -118,7 +122,7 @@ class Shot:
     simulator: Simulator
 
     @cached_property
-    def moments(self) -> Float[Tensor, "pulses"]:
+    def moments(self) -> Pulses:
         """Centres of the pulses, t*."""
         beyond = 3.0 * SPACING
         last = float(self._experiment.times.max())
@@ -143,7 +147,7 @@ class Shot:
         weights = self.shape_pressure(times)
         return weights / weights.sum(1, keepdim=True).clamp_min(1e-300)
 
-    def driven(self, pressure: Float[Tensor, "pulses"]) -> Simulator:
+    def driven(self, pressure: Pulses) -> Simulator:
         """The simulator with a pressure at the wall, over p_inf, beside the laboratory's own
         driving.
         """
@@ -167,7 +171,7 @@ class Shot:
         self,
         gel: Controls,
         nuisances: Float[Tensor, "nuisances"],
-        pressure: Float[Tensor, "pulses"],
+        pressure: Pulses,
     ) -> FrameValues:
         """The curve under a pressure."""
         posterior = Posterior(self.prior, self.batch, self.driven(pressure))
@@ -177,7 +181,7 @@ class Shot:
         self,
         gel: Controls,
         nuisances: Float[Tensor, "nuisances"],
-        pressure: Float[Tensor, "pulses"],
+        pressure: Pulses,
     ) -> Response:
         """The curve under a pressure and its sensitivities there."""
         simulator = self.driven(pressure)
@@ -207,8 +211,8 @@ class Shot:
         self,
         gel: Controls,
         nuisances: Float[Tensor, "nuisances"],
-        pressure: Float[Tensor, "pulses"],
-        effects: Sequence[tuple[Effect, Sequence[float]]],
+        pressure: Pulses,
+        effects: ShapedEffects,
         *,
         step: float = 0.05,
     ) -> Float[Tensor, "effects frames"]:

@@ -7,14 +7,13 @@ from dataclasses import replace
 import pytest
 import torch
 
-from imr_torch.assimilate import ModelFit
 from imr_torch.float64 import full
 from imr_torch.gap import adequacy
 from imr_torch.gap.adequacy import refitted_directions
 from imr_torch.goodness.linear import Linearisation, linearise_fit
 from imr_torch.goodness.score import effect_directions
 from imr_torch.material import LIBRARY, Effect
-from imr_torch.observe import ExperimentBatch, Nuisance
+from imr_torch.observe import Nuisance
 from tests.gap.synthetic import SIMULATOR, fit, shoot
 
 REPEATS = 20
@@ -26,12 +25,10 @@ def one_start(name: str, value: float) -> Effect:
     return replace(LIBRARY[name], starts=((value,),))
 
 
-def left_of(
-    effect: Effect, best: ModelFit, batch: ExperimentBatch, line: Linearisation
-) -> tuple[float, float]:
+def left_of(effect: Effect, line: Linearisation) -> tuple[float, float]:
     """Sd that the first order leaves of an effect, and the refit."""
-    raw = effect_directions([effect], best, batch, SIMULATOR, line)
-    beside = refitted_directions([effect], best, batch, SIMULATOR, line, raw)
+    raw = effect_directions([effect], line)
+    beside = refitted_directions([effect], line, raw)
     return float(line.project_out(raw[effect.name]).norm()), float(
         line.project_out(beside[effect.name]).norm()
     )
@@ -39,20 +36,19 @@ def left_of(
 
 @pytest.fixture(scope="module", params=[Nuisance(), NUISANCE], ids=["exact", "nuisances"])
 def matched(request):
-    """The fit of a matched set, and its neighbourhood."""
+    """The neighbourhood of the fit of a matched set."""
     batch = shoot({}, repeats=REPEATS, nuisance=request.param)
-    best = fit(batch)
-    return best, batch, linearise_fit(best, batch, SIMULATOR)
+    return linearise_fit(fit(batch), batch, SIMULATOR)
 
 
 @pytest.mark.parametrize(
     ("name", "value"), [("heat_exchange", 0.8), ("damage", 0.03), ("sound_speed", 0.3)]
 )
 def test_that_it_is_what_a_real_refit_leaves(matched, name, value):
-    best, batch, line = matched
-    effect = one_start(name, value)
-    first, beside = left_of(effect, best, batch, line)
-    shot = shoot({name: value}, repeats=REPEATS, nuisance=batch.experiments[0].nuisance)
+    line = matched
+    first, beside = left_of(one_start(name, value), line)
+    nuisance = line.batch.experiments[0].nuisance
+    shot = shoot({name: value}, repeats=REPEATS, nuisance=nuisance)
     refit = fit(shot)
     # the noise of these repeats is that of the matched set, so the difference of residuals is that
     # of the curves
@@ -64,19 +60,15 @@ def test_that_it_is_what_a_real_refit_leaves(matched, name, value):
 
 
 def test_that_a_small_effect_is_left_as_it_is(matched):
-    first, beside = left_of(one_start("gas_loss", 1e-4), *matched)
+    first, beside = left_of(one_start("gas_loss", 1e-4), matched)
     assert beside == pytest.approx(first, rel=0.02)
 
 
 def test_that_a_gel_that_cannot_be_simulated_leaves_the_first_order(matched, monkeypatch):
-    best, batch, line = matched
     effect = one_start("heat_exchange", 0.8)
-    raw = effect_directions([effect], best, batch, SIMULATOR, line)
-    monkeypatch.setattr(
-        adequacy,
-        "predict_changed",
-        lambda *_: full((1, *batch.times.shape), torch.nan),
-    )
-    beside = refitted_directions([effect], best, batch, SIMULATOR, line, raw)
+    raw = effect_directions([effect], matched)
+    lost = full((1, *matched.batch.times.shape), torch.nan)
+    monkeypatch.setattr(adequacy, "predict_changes", lambda *_: lost)
+    beside = refitted_directions([effect], matched, raw)
     torch.testing.assert_close(beside["heat_exchange"], raw["heat_exchange"])
-    assert refitted_directions([], best, batch, SIMULATOR, line, {}) == {}
+    assert refitted_directions([], matched, {}) == {}

@@ -7,6 +7,7 @@ import math
 import pytest
 import torch
 
+from imr_torch.assimilate import Neighbourhood, Point, Posterior
 from imr_torch.float64 import full, linspace, ones, randn, tensor, zeros
 from imr_torch.gap.adequacy import Adequacy
 from imr_torch.gap.hypotheses import Hypothesis, laplace_evidence
@@ -30,7 +31,9 @@ def line(size: int = SIZE) -> Linearisation:
     batch = ExperimentBatch(
         (Experiment("blank", (400.0, 0.2), torch.arange(size - 1.0), blank),)
     )
-    return Linearisation(zeros(size), fitted, blank, blank, batch)
+    posterior = Posterior(BASE, batch, SIMULATOR)
+    near = Neighbourhood(posterior, Point(zeros(2), zeros(1, 3)), blank[None])
+    return Linearisation(zeros(size), fitted, near)
 
 
 def direction(degrees: float, *, absorbed: float = 0.0) -> torch.Tensor:
@@ -47,6 +50,12 @@ def direction(degrees: float, *, absorbed: float = 0.0) -> torch.Tensor:
 def left(rows, generic, effects) -> Adequacy:
     """The directions of effects and of generic blocks at that fit."""
     return Adequacy(None, {}, line(), {}, tuple(effects), rows, generic)
+
+
+def test_that_where_no_effect_is_left_nothing_looks_alike():
+    found = likeness(12.0, left({}, {}, ()), seed=0)
+    assert found.chance == 0.0
+    assert found.bayes_factor(0.5) > 0.0
 
 
 @pytest.mark.parametrize(("degrees", "low", "high"), [(2.0, 0.85, 1.0), (80.0, 0.0, 0.02)])

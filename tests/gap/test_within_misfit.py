@@ -13,7 +13,7 @@ from imr_torch.gap import GapReport, diagnose, library, to_json
 from imr_torch.gap.hypotheses import EXPLAINS
 from imr_torch.gap.shrinkage import shrinkage
 from imr_torch.gap.within_misfit import weigh_beside_slow
-from imr_torch.material.model_belief import intervals
+from imr_torch.material import intervals
 from imr_torch.observe import Experiment, Noise
 from imr_torch.random import generator
 from imr_torch.simulate import PolytropicSimulator

@@ -28,11 +28,10 @@ from tests.gap.synthetic import SIMULATOR, fit, shoot
 def matched():
     """A matched fit, what each effect changes there, and all blocks."""
     batch = shoot({})
-    best = fit(batch)
-    line = linearise_fit(best, batch, SIMULATOR)
-    rows = effect_directions(library(), best, batch, SIMULATOR, line)
+    line = linearise_fit(fit(batch), batch, SIMULATOR)
+    rows = effect_directions(library(), line)
     blocks = [make_block(name, some, line) for name, some in rows.items()]
-    return line, rows, [*blocks, *generic_blocks(best, batch, SIMULATOR, line)]
+    return line, rows, [*blocks, *generic_blocks(line)]
 
 
 def drawn(
@@ -130,5 +129,6 @@ def test_that_bias_is_what_is_left_beyond_noise():
     quiet = gap_test([], line, seed=0)
     assert quiet.bias_sigma < 0.1
     lean = torch.where(batch.mask, 0.5 * line.sd, 0.0)
-    loud = gap_test([], replace(line, prediction=line.prediction - lean), seed=0)
+    near = replace(line.near, prediction=line.near.prediction - lean)
+    loud = gap_test([], replace(line, near=near), seed=0)
     assert loud.bias_sigma == pytest.approx(0.5, abs=0.1)
