@@ -33,9 +33,7 @@ class FrameNoisePrior:
 
     Args:
         law: the published proportion of ``slope`` to ``drift``, about which others are tried.
-        balances: factors on the published ratio of ``slope`` to ``drift``, with their
-            probabilities; 0 is noise that grows with time alone, infinity noise that grows with
-            ``|R* - 1|`` alone.
+        balances: factors on the published ``slope`` and ``drift``, with their probabilities.
         edge: part in proportion to 1/R* at scale 1, R*, of noise that grows so, and neither with
             ``|R* - 1|`` nor with time; with its probability.
         floors: constant parts at scale 1, R*.
@@ -68,12 +66,12 @@ class FrameNoisePrior:
     """
 
     law: Noise = field(default_factory=Noise)
-    balances: tuple[tuple[float, float], ...] = (
-        (0.0, 0.1),
-        (1.0 / 3.0, 0.15),
-        (1.0, 0.5),
-        (3.0, 0.15),
-        (math.inf, 0.1),
+    balances: tuple[tuple[float, float, float], ...] = (
+        (0.0, 1.0, 0.1),
+        (3.0**-0.5, 3.0**0.5, 0.15),
+        (1.0, 1.0, 0.5),
+        (3.0**0.5, 3.0**-0.5, 0.15),
+        (1.0, 0.0, 0.1),
     )
     edge: tuple[float, float] = (0.002, 0.1)
     floors: tuple[float, ...] = tuple(0.0005 * 2.0**k for k in range(8))
@@ -196,8 +194,8 @@ class NoiseGrid:
         curves = FittedCurves.of(fits, prior.frames)
         edge, share = prior.edge
         grown = [
-            (*_balance_law(prior.law, balance), 0.0, (1.0 - share) * weight)
-            for balance, weight in prior.balances
+            (prior.law.slope * slope, prior.law.drift * drift, 0.0, (1.0 - share) * weight)
+            for slope, drift, weight in prior.balances
         ]
         laws = [
             (slope, drift, floor, edge, weight / len(prior.floors))
@@ -384,12 +382,3 @@ def _deviations(
     ]
     shares = split_probability(prior.none, len(smooth))
     return [(*one, share) for one, share in zip([(0.0, 1.0), *smooth], shares, strict=True)]
-
-
-def _balance_law(law: Noise, balance: float) -> tuple[float, float]:
-    """Slope and drift whose ratio is ``balance`` times that of a law."""
-    if math.isinf(balance):
-        return law.slope, 0.0
-    if balance == 0.0:
-        return 0.0, law.drift
-    return law.slope * math.sqrt(balance), law.drift / math.sqrt(balance)
