@@ -215,7 +215,7 @@ def assimilate_model(
 
     Args:
         posterior: of the model.
-        starts: ``n`` gels with the nuisances of each, or with those that all begin with.
+        starts: ``n`` gels with the nuisances of each.
         seed: of further starts.
         options: how to search.
         progress: called with one line per iteration.

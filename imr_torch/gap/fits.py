@@ -385,7 +385,7 @@ def fit_alone(inquiry: Inquiry, fit: ModelFit, *, seed: int) -> tuple[ModelFit, 
         single = replace(inquiry, batch=one, progress=None)
         alone = assimilate_model(
             Posterior(fit.prior, one, inquiry.simulator),
-            Point(starts, known),
+            Point(starts, known.expand(len(starts), -1, -1)),
             seed=seed_here,
             options=_EVERY_START,
         )

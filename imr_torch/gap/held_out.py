@@ -344,7 +344,7 @@ class _Fold:
             gels = torch.cat((fit.mean[None], fit.mean + beside))
             fits[hypothesis.name] = assimilate_model(
                 Posterior(fit.prior, hypothesis.seen(self.training), self.simulator),
-                Point(gels, fit.nuisances[self.kept]),
+                Point(gels, fit.nuisances[self.kept].expand(len(gels), -1, -1)),
                 seed=seed,
                 options=_OPTIONS,
             )
