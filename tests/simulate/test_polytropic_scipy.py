@@ -15,7 +15,8 @@ from imr_torch.simulate import (
     Stepping,
 )
 from imr_torch.units import Surroundings
-from tests.simulate.bubble import DESIGN, FINE, GEL, Reference, gel, grid, tensor
+from tests.simulate.bubble import DESIGN, FINE, GEL, gel, grid, tensor
+from tests.simulate.si_reference import Reference
 from tests.tables import for_each
 
 AT = tensor(*DESIGN)
