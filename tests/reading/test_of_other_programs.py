@@ -87,15 +87,6 @@ def test_that_a_table_of_bubbletrack_has_its_radii_in_micrometres(tmp_path):
     assert "radius from 'Radius_um' in um, time from 'Time_s' in s" in traces.notes[0]
 
 
-def test_that_a_workbook_of_bubbletrack_is_read_alike(tmp_path):
-    openpyxl = pytest.importorskip("openpyxl")
-    book = openpyxl.Workbook()
-    for row in tracker_rows():
-        book.active.append(row)
-    book.save(tmp_path / "gel.xlsx")
-    check(load_traces(tmp_path / "gel.xlsx"), digits=1e-5)
-
-
 def test_that_pixels_and_frames_of_bubbletrack_take_their_scales_from_the_json_beside(
     tmp_path,
 ):
