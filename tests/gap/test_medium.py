@@ -14,21 +14,19 @@ from imr_torch.material import PARAMETERS
 from imr_torch.observe import (
     ExperimentBatch,
     GelMedium,
-    Nuisance,
     SimulatedLaboratory,
     Statement,
     gel_medium,
 )
 from imr_torch.simulate.setting import OF_MEDIUM
+from tests.gap.synthetic import SIMULATOR, UNSURE
 
-SIMULATOR = PolytropicSimulator()
 OPTIONS = SearchOptions(raw_samples=24, starts=2)
 
 
 def batch(repeats: int) -> ExperimentBatch:
-    nuisance = Nuisance(max_radius=0.003, time_zero=0.004, rest_radius=0.01)
     laboratory = SimulatedLaboratory(
-        SIMULATOR, PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=repeats, nuisance=nuisance,
+        SIMULATOR, PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=repeats, nuisance=UNSURE,
         times=linspace(0.0, 2.5, 51),
     )  # fmt: skip
     designs = tensor([[400.0, 0.22], [250.0, 0.17]])

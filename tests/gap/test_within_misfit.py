@@ -9,17 +9,15 @@ import pytest
 import torch
 
 from imr_torch.float64 import randn, tensor
-from imr_torch.gap import GapReport, diagnose, library, to_json
+from imr_torch.gap import GapReport, to_json
 from imr_torch.gap.hypotheses import EXPLAINS
 from imr_torch.gap.shrinkage import shrinkage
 from imr_torch.gap.within_misfit import weigh_beside_slow
 from imr_torch.material import intervals
 from imr_torch.observe import Experiment, Noise
 from imr_torch.random import generator
-from imr_torch.simulate import PolytropicSimulator
-from tests.gap.synthetic import BASE, DESIGNS, GEL, shoot
+from tests.gap.synthetic import BASE, DESIGNS, GEL, SIMULATOR, diagnose_offered, shoot
 
-SIMULATOR = PolytropicSimulator(threads=1)
 OFFERED = ("stress_relaxation", "edge_error", "clock")
 LAW = Noise(scale=0.3)
 STRONG = {"tau": 8e-6}
@@ -42,12 +40,8 @@ def single_curves(effect: dict[str, float], deviation: float) -> list[Experiment
 
 
 def diagnosed(effect: dict[str, float], deviation: float) -> GapReport:
-    return diagnose(
-        single_curves(effect, deviation),
-        base=BASE,
-        effects=library(OFFERED),
-        estimate_noise=True,
-        simulator=SIMULATOR,
+    return diagnose_offered(
+        single_curves(effect, deviation), OFFERED, base=BASE, estimate_noise=True
     )
 
 

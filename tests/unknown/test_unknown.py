@@ -8,13 +8,11 @@ import torch
 
 from imr_torch.float64 import full, linspace, tensor, zeros
 from imr_torch.material import PARAMETERS, TERMS, dimensionless, gel_response
-from imr_torch.observe import Nuisance, predict
+from imr_torch.observe import predict
 from imr_torch.simulate import PolytropicSimulator, TabulatedDriving
 from imr_torch.unknown import NOTHING_KNOWN, infer_unknown, search
 from imr_torch.unknown.shot import Shot
-from tests.gap.synthetic import BASE, DESIGNS, GEL, SIMULATOR, fit, shoot
-
-UNSURE = Nuisance(max_radius=0.003, time_zero=0.004, rest_radius=0.01)
+from tests.gap.synthetic import BASE, DESIGNS, GEL, SIMULATOR, UNSURE, fit, shoot
 
 
 def shot_of(simulator=SIMULATOR) -> Shot:
