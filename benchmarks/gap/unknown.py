@@ -265,8 +265,7 @@ def list_jobs(args: argparse.Namespace) -> dict[str, Job]:
     """Two sets with an effect, one without in turn."""
     kinds = ("withheld", "withheld", "none")
     tasks = [
-        Task(kinds[n % 3], 3, 10, args.physics, args.seed + n, nuisances=True)
-        for n in range(args.sets)
+        Task(kinds[n % 3], 3, 10, args.physics, args.seed + n) for n in range(args.sets)
     ]
     return {task.key: partial(infer_set, task) for task in tasks}
 

@@ -77,7 +77,7 @@ def make_laboratory(
         ConvergenceError: where no attempt acts as is asked for.
     """
     source = generator(child(seed, kind))
-    task = Task("none", 2, 10, "polytropic", seed, nuisances=True)
+    task = Task("none", 2, 10, "polytropic", seed)
     names, (least, most) = TRUTHS[kind]
     for _ in range(attempts):
         effects = library(names) if names else ()
