@@ -81,3 +81,12 @@ def sd_error(sample: ImportanceSample) -> Tensor:
     variance = sample.covariance.diagonal()
     excess = (sample.controls - sample.mean).square() - variance
     return (sample.weights.square() @ excess.square()).sqrt() / (2.0 * variance.sqrt())
+
+
+def assert_moments(sample: ImportanceSample, mean: Tensor, covariance: Tensor) -> Tensor:
+    """That those of the draws are within four standard errors; returns the true standard deviations."""
+    assert ((sample.mean - mean).abs() < 4.0 * mean_error(sample)).all()
+    sds = covariance.diagonal().sqrt()
+    found = sample.covariance.diagonal().sqrt()
+    assert ((found - sds).abs() < 4.0 * sd_error(sample)).all()
+    return sds
