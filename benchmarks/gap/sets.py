@@ -129,7 +129,7 @@ def make_set(task: Task) -> SyntheticSet:
 
 
 def _try(task: Task, source: torch.Generator) -> SyntheticSet | None:
-    gel = {name: draw_log_uniform(bounds, source) for name, bounds in GEL.items()}
+    gel = draw_gel(source)
     plan = make_plan(draw_designs(task.designs + _BESIDE, source), task)
     known = library()
     chosen: dict[Effect, dict[str, float]] = {}
@@ -181,6 +181,11 @@ def film(
 
 def _one_of(effects: tuple[Effect, ...], source: torch.Generator) -> Effect:
     return effects[int(torch.randint(len(effects), (), generator=source))]
+
+
+def draw_gel(source: torch.Generator) -> dict[str, float]:
+    """G and mu, SI."""
+    return {name: draw_log_uniform(bounds, source) for name, bounds in GEL.items()}
 
 
 def draw_log_uniform(bounds: tuple[float, float], source: torch.Generator) -> float:

@@ -18,11 +18,10 @@ from functools import partial
 import torch
 
 from benchmarks.gap.sets import (
-    GEL,
     Task,
     draw_designs,
     draw_effect,
-    draw_log_uniform,
+    draw_gel,
     film,
     make_plan,
 )
@@ -95,7 +94,7 @@ def make_laboratory(
         for _ in range(3 * tries + 1):
             if len(made) == 3:
                 return [x for x, _ in made], [acts for _, acts in made]
-            gel = {name: draw_log_uniform(bounds, source) for name, bounds in GEL.items()}
+            gel = draw_gel(source)
             plan = make_plan(draw_designs(2, source), task)
             acts = dict(drawn[len(made)][1]) if drawn else {}
             if (
