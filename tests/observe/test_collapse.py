@@ -8,8 +8,7 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from imr_torch import PolytropicSimulator, characterize, wide_prior
-from imr_torch.assimilate import SearchOptions
+from imr_torch import PolytropicSimulator
 from imr_torch.float64 import arange, full, linspace, ones, rand, randn, tensor, zeros
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import (
@@ -27,7 +26,7 @@ from imr_torch.observe.collapse import serial_correlation
 from imr_torch.observe.prediction import NodeTimes, _simulate_bubbles, predict_collapse
 from imr_torch.random import generator
 from imr_torch.units import Surroundings
-from tests.filmed import film
+from tests.filmed import characterize_quickly, film
 from tests.refusals import refused
 
 GEL = {"G": 8000.0, "mu": 0.1}
@@ -96,15 +95,8 @@ def shots(
 
 
 def fitted(data: tuple[CollapseShot, ...], traces: TraceSet | None = None, **options):
-    return characterize(
-        traces or TraceSet(()),
-        shots=data,
-        prior=wide_prior(["nhkv"]),
-        simulator=SIMULATOR,
-        options=SearchOptions(raw_samples=32, starts=2),
-        check=False,
-        **{"medium": "density=1060"} | options,
-    )
+    how = {"rest_radius": None, "check": False} | options
+    return characterize_quickly(traces or TraceSet(()), shots=data, **how)
 
 
 @pytest.mark.parametrize("gel", [{"G": 500.0, "mu": 0.01}, GEL, {"G": 60e3, "mu": 0.3}])
