@@ -91,7 +91,6 @@ def test_a_search_asks_in_batches_for_as_many_designs_in_all():
     found = Optimal(
         Laplace(draws=3, rivals=3), evaluations=9, initial=4, batch=3
     ).choose_design(Situation(1, NHKV, LinearSimulator(), SPACE, PLAN, 0))
-    assert found.search is not None
     assert len(found.search.designs) == len(found.search.gains) == 9
     assert len(torch.unique(found.search.designs, dim=0)) == 9
     assert found.gain == found.search.recommendation.mean

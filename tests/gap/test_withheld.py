@@ -31,7 +31,6 @@ def test_that_it_is_other_where_it_was_withheld(experiments):
         r"adequacy p ([=<]) (.+)\)\.",
         report.reason,
     )
-    assert said is not None
     assert set(said[1].split(" and ")) <= set(RIVALS)
     assert float(said[2]) > 3.0
     assert float(said[4]) < float(said[3]) == round(report.gap.bias_radius, 4)

@@ -46,7 +46,6 @@ def diagnosed(effect: dict[str, float], deviation: float) -> GapReport:
 
 
 def explained(report: GapReport) -> dict[str, float]:
-    assert report.within_misfit is not None
     return weigh_beside_slow(report.within_misfit.steps[:1], report.batch, SIMULATOR)[1]
 
 
@@ -85,8 +84,6 @@ def test_that_it_is_selected_and_not_named_beside_slow_deviations(beside):
 
 def test_that_it_predicts_curves_that_were_left_out_and_gives_the_gel_back(beside):
     found = shrinkage(beside, SIMULATOR)
-    assert found is not None
-    assert found.share is not None
     assert found.share[0] > max(0.5, found.placebo_high)
     shifts = to_json(beside)["parameter_shift"]
     for name, truth in GEL.items():

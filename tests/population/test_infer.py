@@ -268,7 +268,6 @@ def test_that_without_scatter_the_evidence_is_that_of_a_joint_fit():
         seed=0,
         samples=1000,
     )["nhkv"].sample
-    assert joint is not None
     population = inferred(experiments, simulator)
     from_shots = population.log_evidence - _over_none(population)
     assert from_shots == pytest.approx(
@@ -392,7 +391,6 @@ def test_that_shots_that_differ_are_not_taken_for_noise():
     experiments = shots(LinearSimulator(), (2.0, 0.5), 8)
     fits = fits_of(experiments, LinearSimulator(), samples=25)
     shared = share_noise(fits, NOISE, LinearSimulator(), widen=True)
-    assert shared is not None
     own = shared.laws.frames.laws[0]
     typical = [float(noise.sd(tensor(0.5), tensor(1.0))) for noise in (own, NOISE)]
     assert typical[0] == pytest.approx(typical[1], rel=0.3)
