@@ -91,7 +91,7 @@ def gaussian_shots(fits, evidence: list[float]) -> GaussianShots:
 
 
 def test_that_the_evidence_of_gels_that_differ_is_that_of_the_closed_form(
-    gels, null, alone, apart
+    null, alone, apart
 ):
     """The closed form has the Gaussian of each curve by itself, integrated over gel and population;
     both are of first order.

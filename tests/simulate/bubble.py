@@ -74,6 +74,10 @@ def gel_of(model: str) -> Tensor:
     return gel(**{name: SI[name] for name in MATERIALS[model].names})
 
 
+EVERY_GEL = torch.stack([gel_of(model) for model in MATERIALS])
+"""One of each registered model."""
+
+
 def draw_bubbles(count: int, seed: int) -> tuple[Tensor, Tensor]:
     """Gels of the paper's prior, ``count x p``, and designs all over its box, ``count x 2``."""
     low, high = tensor([100.0, 0.14], [1000.0, 0.30])
