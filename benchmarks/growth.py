@@ -14,6 +14,7 @@ A residual is over .004 in R* and .15 frames of jitter, as in the study that the
 next to collapses are left out. Rmax, time zero and R_inf are those of the fit.
 """
 
+import argparse
 from functools import partial
 from pathlib import Path
 
@@ -25,8 +26,7 @@ from benchmarks.real_gels import SETS, standardise
 from benchmarks.records import (
     Job,
     Line,
-    read_record,
-    run_missing_jobs,
+    finish_command,
     start_commands,
     write_table,
 )
@@ -129,13 +129,13 @@ def judge_set(path: Path, model: str, most: int) -> Line:
     }
 
 
-def list_jobs(folder: Path, most: int) -> dict[str, Job]:
+def list_jobs(args: argparse.Namespace) -> dict[str, Job]:
     """Every set with every model."""
     return {
-        f"{name}/{model}": partial(judge_set, folder / f"{name}.csv", model, most)
+        f"{name}/{model}": partial(judge_set, path, model, args.shots)
         for name in SETS
         for model in MODELS
-        if (folder / f"{name}.csv").exists()
+        if (path := args.folder / f"{name}.csv").exists()
     }
 
 
@@ -181,13 +181,7 @@ def main() -> None:
     """Run or tabulate."""
     parser, _, runs = start_commands(__doc__, "folder")
     runs.add_argument("--shots", type=int, default=3)
-    args = parser.parse_args()
-    if args.what == "table":
-        lines = read_record(*args.files)
-    else:
-        jobs = list_jobs(args.folder, args.shots)
-        lines = run_missing_jobs(args.out, jobs, workers=args.workers)
-    print(write_page(lines))
+    finish_command(parser, list_jobs, write_page)
 
 
 if __name__ == "__main__":

@@ -203,33 +203,28 @@ def _seconds_of(work: Callable[[], object]) -> float:
 
 
 class Recalled:
-    """A simulator that remembers its last solutions, since both brute bounds simulate the same
-    gels.
-    """
+    """A simulator that remembers its solutions, since both brute bounds simulate the same gels."""
 
     def __init__(self, simulator: Simulator) -> None:
         self.simulator = simulator
         self.conditions = simulator.conditions
-        self.solved: list[tuple[tuple[Tensor, ...], Solution]] = []
+        self.solved: dict[object, Solution] = {}
 
-    def __call__(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+    def __call__(self, *asked: Tensor) -> Solution:
         """See :class:`~imr_torch.simulate.Simulator`."""
-        return self._recall(self.simulator, (parameters, designs, times))
+        return self._recall(self.simulator, asked)
 
-    def bundle(self, parameters: Tensor, designs: Tensor, times: Tensor) -> Solution:
+    def bundle(self, *asked: Tensor) -> Solution:
         """See :class:`~imr_torch.simulate.Simulator`."""
-        return self._recall(self.simulator.bundle, (parameters, designs, times))
+        return self._recall(self.simulator.bundle, asked)
 
     def _recall(
         self, solve: Callable[..., Solution], asked: tuple[Tensor, ...]
     ) -> Solution:
-        for arguments, solution in self.solved:
-            if all(
-                torch.equal(one, other) for one, other in zip(arguments, asked, strict=True)
-            ):
-                return solution
-        self.solved = [*self.solved[-3:], (asked, solve(*asked))]
-        return self.solved[-1][1]
+        key = solve, *(x.numpy().tobytes() for x in asked)
+        if key not in self.solved:
+            self.solved[key] = solve(*asked)
+        return self.solved[key]
 
 
 def bound_model_gain(design: tuple[float, float]) -> Line:

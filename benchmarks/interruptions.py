@@ -46,6 +46,7 @@ OPTIONS = shlex.split(
     "--models nhkv --policy space-filling --repeats 1 --physics polytropic --threads 1 --quiet"
 )
 GOALS = {
+    "gel": [],
     "cause": shlex.split("--goal cause --effects sound_speed,surface_tension"),
 }
 QUICK = SearchOptions(raw_samples=12, starts=2)
@@ -262,14 +263,7 @@ class RealCampaign:
             if number and tell
             else []
         )
-        return [
-            "campaign",
-            *self.options,
-            "--out",
-            str(out),
-            *(["--resume"] if resume else []),
-            *told,
-        ]
+        return ["campaign", *self.options, "--out", str(out), *["--resume"] * resume, *told]
 
     def whole(self, number: int) -> Path:
         """The folder after an uninterrupted command."""
@@ -377,7 +371,7 @@ def start() -> None:
     parser.add_argument("--experiments", default="shot_1,shot_2,shot_3")
     parser.add_argument(
         "--goal",
-        choices=("gel", *GOALS),
+        choices=GOALS,
         default="gel",
         help="of the campaign (default gel)",
     )
@@ -390,7 +384,7 @@ def start() -> None:
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         curves = split(args.data, args.experiments.split(","), Path(folder))
-        real = RealCampaign(Path(folder), curves, [*OPTIONS, *GOALS.get(args.goal, [])])
+        real = RealCampaign(Path(folder), curves, [*OPTIONS, *GOALS[args.goal]])
         found = interrupt_all(real, args.every)
     print(f"resumed to the same journal: {count_same(found)}")
     for name, problems in found.items():

@@ -1,6 +1,7 @@
 """Is the population's inference right on average?
 
   python -m benchmarks.population run OUT.jsonl [--populations 300] [--noise estimated] [--seed 5]
+  python -m benchmarks.population table OUT.jsonl
 
 `run` simulates, with the polytropic simulator, populations of 4 to 10 shots of one curve each, at
 Weber numbers of 250 to 600, R_inf* of .18 to .28 and with uncertain Rmax, time zero and R_inf, and
@@ -22,9 +23,9 @@ import torch
 from benchmarks.records import (
     Figure,
     Line,
-    add_out,
+    read_record,
     run_missing_jobs,
-    start_parser,
+    start_commands,
     write_figures,
 )
 from imr_torch import PolytropicSimulator
@@ -167,22 +168,19 @@ def score_populations(lines: list[Line]) -> str:
 def main() -> None:
     """Run and tabulate."""
     warnings.simplefilter("ignore")
-    parser = start_parser(__doc__)
-    commands = parser.add_subparsers(dest="what", required=True)
-    runs = commands.add_parser("run")
+    parser, _, runs = start_commands(__doc__)
     runs.add_argument("--noise", choices=("known", "estimated"), default="known")
     runs.add_argument("--populations", type=int, default=300)
-    add_out(runs)
     runs.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
-    numbers = range(args.populations)
-    jobs = {f"{n}": partial(infer_one, n, args.seed, args.noise) for n in numbers}
-    notes = {f"{n}": {"kind": KINDS[n % len(KINDS)]} for n in numbers}
-    print(
-        score_populations(
-            run_missing_jobs(args.out, jobs, about=notes, workers=args.workers)
-        )
-    )
+    if args.what == "table":
+        lines = read_record(*args.files)
+    else:
+        numbers = range(args.populations)
+        jobs = {f"{n}": partial(infer_one, n, args.seed, args.noise) for n in numbers}
+        notes = {f"{n}": {"kind": KINDS[n % len(KINDS)]} for n in numbers}
+        lines = run_missing_jobs(args.out, jobs, about=notes, workers=args.workers)
+    print(score_populations(lines))
 
 
 if __name__ == "__main__":

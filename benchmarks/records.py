@@ -269,6 +269,22 @@ def start_commands(
     return parser, commands, runs
 
 
+def finish_command(
+    parser: argparse.ArgumentParser,
+    list_jobs: Callable[[argparse.Namespace], Mapping[str, Job]],
+    write: Callable[[list[Line]], str],
+) -> None:
+    """Read the lines of ``table``, or run the jobs of another command, and print what is written of
+    them.
+    """
+    args = parser.parse_args()
+    if args.what == "table":
+        lines = read_record(*args.files)
+    else:
+        lines = run_missing_jobs(args.out, list_jobs(args), workers=args.workers)
+    print(write(lines))
+
+
 def add_out(parser: argparse.ArgumentParser) -> None:
     """The record that a run writes, and in how many processes."""
     parser.add_argument("out", type=Path, metavar="OUT.jsonl")

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 
+import pytest
 import torch
 from torch import Tensor
 
@@ -81,3 +82,19 @@ def sd_error(sample: ImportanceSample) -> Tensor:
     variance = sample.covariance.diagonal()
     excess = (sample.controls - sample.mean).square() - variance
     return (sample.weights.square() @ excess.square()).sqrt() / (2.0 * variance.sqrt())
+
+
+def assert_posterior(
+    sample: ImportanceSample, mean: Tensor, covariance: Tensor, log_evidence: float
+) -> Tensor:
+    """That moments and evidence of the draws are within four standard errors; returns the true standard
+    deviations.
+    """
+    assert sample.log_evidence == pytest.approx(
+        log_evidence, abs=4.0 * sample.log_evidence_error
+    )
+    assert ((sample.mean - mean).abs() < 4.0 * mean_error(sample)).all()
+    sds = covariance.diagonal().sqrt()
+    found = sample.covariance.diagonal().sqrt()
+    assert ((found - sds).abs() < 4.0 * sd_error(sample)).all()
+    return sds

@@ -1,13 +1,16 @@
-"""Curves of bubbles as a camera films them, in metres and seconds."""
+"""Curves of bubbles as a camera films them, in metres and seconds, and quick fits to them."""
 
 from collections.abc import Mapping
 
 import torch
 from torch import Tensor
 
+from imr_torch import characterize
+from imr_torch.assimilate import SearchOptions
+from imr_torch.characterization import Characterization
 from imr_torch.float64 import randn, tensor
-from imr_torch.material import PARAMETERS
-from imr_torch.observe import RadiusTrace
+from imr_torch.material import PARAMETERS, wide_prior
+from imr_torch.observe import RadiusTrace, TraceSet
 from imr_torch.simulate import PolytropicSimulator, Simulator
 
 
@@ -30,3 +33,14 @@ def film(
     radius = radius + noise * randn(len(times), generator=source)
     seconds = times * medium.time_scale(size)
     return RadiusTrace(name, seconds, size * radius.clamp_min(1e-3), "simulated")
+
+
+def characterize_quickly(curves: TraceSet, *models: str, **how) -> Characterization:
+    """By polytropic bubbles and a small search; NHKV in water, R_inf* .2, unless said."""
+    usual = {
+        "simulator": PolytropicSimulator(threads=1),
+        "rest_radius": (0.2, 0.002),
+        "options": SearchOptions(raw_samples=32, starts=2),
+        "medium": "density=1060",
+    }
+    return characterize(curves, prior=wide_prior(models or ["nhkv"]), **usual | how)

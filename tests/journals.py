@@ -1,9 +1,14 @@
 """Folders of campaigns as a kill leaves them, and journals that somebody changed."""
 
+import os
 import shutil
 from pathlib import Path
 
+import pytest
+
 from imr_torch.campaign import Journal
+
+needs_fork = pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are forked")
 
 
 def cut(source: Path, target: Path, events: int, torn: float = 0.0) -> Path:

@@ -6,7 +6,12 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
-from imr_torch.assimilate import Assimilation, SearchOptions, assimilate
+from imr_torch.assimilate import (
+    Assimilation,
+    SearchOptions,
+    assimilate,
+    assimilate_estimating_noise,
+)
 from imr_torch.float64 import arange, eye, rand, randn, zeros
 from imr_torch.material import PARAMETERS, Belief, ModelBelief, TruncatedNormal, material
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance
@@ -256,4 +261,23 @@ def fit_linear(
     """A fit to simulated curves by the search that tests take; of one model unless said."""
     return assimilate(
         belief, batch, simulator or LinearSimulator(), seed=seed, options=options, **how
+    )
+
+
+def fit_noise(
+    batch: ExperimentBatch,
+    simulator: Simulator | None = None,
+    *,
+    rounds: int = 1,
+    seed: int = 0,
+) -> Assimilation:
+    """A fit of NHKV that estimates the noise, by the least search."""
+    return assimilate_estimating_noise(
+        NHKV,
+        batch,
+        simulator or LinearSimulator(),
+        rounds=rounds,
+        seed=seed,
+        options=SearchOptions(raw_samples=8, starts=2),
+        warn=False,
     )

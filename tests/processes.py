@@ -109,8 +109,6 @@ class Processes:
                 text=True,
                 bufsize=1,
             )
-        assert self._server.stdin is not None
-        assert self._server.stdout is not None
         self._server.stdin.write(json.dumps(job) + "\n")
         return int(self._server.stdout.readline())
 

@@ -97,20 +97,8 @@ def test_that_simulate_makes_the_bubble_of_the_medium(tmp_path):
     seconds = []
     for medium in (["--medium", "density=1150"], []):
         name = tmp_path / "bubble.json"
-        assert (
-            main(
-                [
-                    "simulate",
-                    "--set",
-                    "G=8310,mu=0.093",
-                    *medium,
-                    *QUICK,
-                    "--json",
-                    str(name),
-                ]
-            )
-            == 0
-        )
+        command = f"simulate --set G=8310,mu=0.093 --json {name}"
+        assert main([*command.split(), *medium, *QUICK]) == 0
         seconds.append(read_json(name)["time_s"][-1])
     assert seconds[0] / seconds[1] == pytest.approx(math.sqrt(1150.0 / 1060.0))
 

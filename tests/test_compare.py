@@ -225,7 +225,7 @@ def test_that_files_of_other_kinds_are_named(name, tmp_path, said_by):
     assert re.search(message, error), error
 
 
-def test_that_results_without_a_common_model_are_refused(tmp_path):
+def test_that_results_without_a_common_model_are_refused():
     other = wide_prior(["newtonian"])
     document = {"belief": other.to_dict(), "models": {"newtonian": TRUSTED}}
     with refused(

@@ -52,14 +52,16 @@ def modules() -> Iterator[ModuleType]:
 def examples() -> list[doctest.DocTest]:
     """One test per docstring with an example; its globals are empty, so an example imports all that it uses.
 
-    Those of the design stage have a test of their own.
+    Those of the design stage have the names of their module.
     """
     finder = doctest.DocTestFinder(exclude_empty=True)
-    kept = (
-        module for module in modules() if not module.__name__.startswith("imr_torch.design")
-    )
     return [
-        test for module in kept for test in finder.find(module, globs={}) if test.examples
+        test
+        for module in modules()
+        for test in finder.find(
+            module, globs=None if module.__name__.startswith("imr_torch.design") else {}
+        )
+        if test.examples
     ]
 
 

@@ -57,8 +57,8 @@ ROOMS = (
 
 def imported(
     source: str, module: tuple[str, ...], is_package: bool
-) -> list[tuple[int, str]]:
-    """Line and first component below ``imr_torch`` of every import of the package, at any depth of the source.
+) -> list[tuple[int, list[str]]]:
+    """Line and components below ``imr_torch`` of every import of the package, at any depth of the source.
 
     ``from imr_torch import x`` counts as ``x``, ``import imr_torch`` as ``"*"`` (it can reach
     anything).
@@ -85,9 +85,7 @@ def imported(
         else:
             continue
         found += [
-            (node.lineno, path[1] if len(path) > 1 else "*")
-            for path in paths
-            if path[0] == "imr_torch"
+            (node.lineno, path[1:] or ["*"]) for path in paths if path[0] == "imr_torch"
         ]
     return found
 
@@ -108,7 +106,7 @@ def violations(source: str, module: tuple[str, ...], is_package: bool = False) -
     name = ".".join(module)
     return [
         f"{name}:{line} imports {what}"
-        for line, what in imported(source, module, is_package)
+        for line, (what, *_) in imported(source, module, is_package)
         if what not in allowed
     ]
 
@@ -150,27 +148,21 @@ def test_that_the_checker_finds_an_import_against_the_flow(source, module, culpr
 
 def circles(files: list[tuple[Path, tuple[str, ...], bool]]) -> list[set[str]]:
     """Modules that import each other in a circle, at any depth of their source."""
-    sources = {
-        ".".join(("imr_torch", *module)): path.read_text() for path, module, _ in files
-    }
+    known = {".".join(module) for _, module, _ in files}
     graph: dict[str, set[str]] = {}
-    for name, source in sources.items():
-        graph[name] = set()
-        for node in ast.walk(ast.parse(source)):
-            if isinstance(node, ast.ImportFrom) and node.module:
-                for alias in node.names:
-                    inner = f"{node.module}.{alias.name}"
-                    graph[name].add(inner if inner in sources else node.module)
-            elif isinstance(node, ast.Import):
-                graph[name] |= {alias.name for alias in node.names}
-    reach = {name: imports & set(sources) - {name} for name, imports in graph.items()}
-    for middle in sources:  # transitive closure
-        for name in sources:
+    for path, module, is_package in files:
+        graph[".".join(module)] = {
+            name if (name := ".".join(parts)) in known else ".".join(parts[:-1])
+            for _, parts in imported(path.read_text(), module, is_package)
+        }
+    reach = {name: imports & known - {name} for name, imports in graph.items()}
+    for middle in known:  # transitive closure
+        for name in known:
             if middle in reach[name]:
                 reach[name] |= reach[middle]
     return [
         {name} | {other for other in reach[name] if name in reach[other]}
-        for name in sources
+        for name in known
         if name in reach[name]
     ]
 

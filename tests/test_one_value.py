@@ -17,8 +17,8 @@ COMMON = [
     "0.2:0.002",
     "--physics",
     "polytropic",
+    "--quiet",
 ]
-COMMON += ["--quiet"]
 
 
 @pytest.fixture(scope="module")
@@ -34,18 +34,11 @@ def values(tmp_path_factory, cheap_noise):
     here = tmp_path_factory.mktemp("one_value")
     file = str(write_table(traces(("a", "b", "c"), noise=0.003), here / "gel.csv"))
     model = ["--models", "nhkv", *COMMON]
-    of_gel = [
-        "characterize",
-        file,
-        "--population",
-        *model,
-        "--json",
-        str(here / "result.json"),
-    ]
-    assert main(of_gel) == 0
+    of_gel = f"--population --json {here}/result.json".split()
+    assert main(["characterize", file, *model, *of_gel]) == 0
     assert main(["batch", file, *model, *f"--workers 1 --out {here}/batch".split()]) == 0
-    tried = ["--effects", "sound_speed", *COMMON, "--json", str(here / "gap.json")]
-    assert main(["diagnose", file, *tried]) == 0
+    tried = f"--effects sound_speed --json {here}/gap.json".split()
+    assert main(["diagnose", file, *COMMON, *tried]) == 0
     gel = read_json(here / "result.json")
     gap = read_json(here / "gap.json")
     assert gel["fit_test"]["explained"]

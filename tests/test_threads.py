@@ -19,31 +19,21 @@ def test_that_a_fit_sees_one_thread_and_the_caller_its_own():
             seen.add(torch.get_num_threads())
             return super().__call__(*arguments)
 
-    before = torch.get_num_threads()
     torch.set_num_threads(2)
-    try:
-        fit_linear(
-            experiments(1), Watching(), options=SearchOptions(raw_samples=8, starts=2)
-        )
-        assert (seen, torch.get_num_threads()) == ({1}, 2)
-        with pytest.raises(InputDataError), one_torch_thread():
-            load_traces("nowhere.csv")
-        assert torch.get_num_threads() == 2
-    finally:
-        torch.set_num_threads(before)
+    fit_linear(experiments(1), Watching(), options=SearchOptions(raw_samples=8, starts=2))
+    assert (seen, torch.get_num_threads()) == ({1}, 2)
+    with pytest.raises(InputDataError), one_torch_thread():
+        load_traces("nowhere.csv")
+    assert torch.get_num_threads() == 2
 
 
 def test_that_blocks_that_overlap_leave_as_many_threads_as_were_before_the_first():
-    before = torch.get_num_threads()
     torch.set_num_threads(2)
-    try:
-        first = one_torch_thread()
-        second = one_torch_thread()
-        first.__enter__()
-        second.__enter__()
-        first.__exit__(None, None, None)
-        assert torch.get_num_threads() == 1
-        second.__exit__(None, None, None)
-        assert torch.get_num_threads() == 2
-    finally:
-        torch.set_num_threads(before)
+    first = one_torch_thread()
+    second = one_torch_thread()
+    first.__enter__()
+    second.__enter__()
+    first.__exit__(None, None, None)
+    assert torch.get_num_threads() == 1
+    second.__exit__(None, None, None)
+    assert torch.get_num_threads() == 2

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from benchmarks.gap import closures
-from benchmarks.gap.sets import GEL, draw_designs, draw_log_uniform
+from benchmarks.gap.sets import draw_designs, draw_gel, draw_log_uniform
 from benchmarks.gap.signals import refit
 from benchmarks.gap.single_sets import FITS, TRUTH, trace
 from imr_torch.float64 import arange, ones, rand, randn, zeros
@@ -134,7 +134,7 @@ def run_apart(work: Callable, *given: object):
 def draw_truth(path: str, effect: str, physics: str, source: torch.Generator) -> Truth:
     """A random truth that shows as much as it should."""
     while True:
-        gel = {name: draw_log_uniform(bounds, source) for name, bounds in GEL.items()}
+        gel = draw_gel(source)
         designs = tuple((w, r) for w, r in draw_designs(SHOTS + _UNSEEN, source).tolist())
         fine = effect == "dropped_frame" and float(rand((), generator=source)) < 0.5
         every = closures.SAMPLES // (2 if fine else 1)

@@ -182,7 +182,7 @@ def measure_rivals(line: Line, physics: str) -> dict[str, tuple[float, float]]:
     """
     designs, repeats = map(int, line["size"].split("x"))
     own = (line["kind"], designs, repeats, line["physics"], line["seed"])
-    task = Task(*own, line["nuisances"], line["truths"])
+    task = Task(*own, line["truths"])
     data = make_set(task)
     simulator = replace(task, physics=physics).simulator()
     gel = {name: data.values[name] for name in GEL}

@@ -1,7 +1,7 @@
 """How often the diagnosis of repeated shots is right: simulated sets with none, one or a withheld
 effect.
 
-  python -m benchmarks.gap.repeats run OUT.jsonl [--sets 67] [--size 3x10] [--physics transport]
+  python -m benchmarks.gap.repeats run OUT.jsonl [--sets 67] [--physics transport]
       [--truths reference] [--seed 0] [--workers 2] [--parts]
   python -m benchmarks.gap.repeats labelled FOLDER OUT.jsonl [--workers 2]
   python -m benchmarks.gap.repeats table OUT.jsonl ...
@@ -224,7 +224,6 @@ def write_scores(lines: Sequence[Line]) -> str:
 def add_task_arguments(parser: argparse.ArgumentParser) -> None:
     """What says which sets are made."""
     parser.add_argument("--sets", type=int, default=67, help="of each kind (default 67)")
-    parser.add_argument("--size", default="3x10", metavar="DxR", help="designs x repeats")
     parser.add_argument("--physics", choices=PHYSICS, default="transport")
     parser.add_argument(
         "--truths", choices=TRUTHS, default=TRUTHS[0], help="how truths are solved"
@@ -240,13 +239,12 @@ def run_tasks(
     """Lines of the sets asked for, in an order in which a run that is stopped has as many of each
     kind.
     """
-    designs, repeats = map(int, args.size.split("x"))
     tasks = [
-        Task(kind, designs, repeats, args.physics, seed, nuisances=True, truths=args.truths)
+        Task(kind, 3, 10, args.physics, seed, args.truths)
         for seed in range(args.seed, args.seed + args.sets)
         for kind in kinds
     ]
-    names = ("kind", "size", "physics", "nuisances", "seed", "truths")
+    names = ("kind", "size", "physics", "seed", "truths")
     about = {task.key: {name: getattr(task, name) for name in names} for task in tasks}
     jobs = {task.key: partial(work, task) for task in tasks}
     return run_missing_jobs(args.out, jobs, about=about, workers=args.workers)

@@ -14,11 +14,11 @@ import torch
 from torch import Tensor
 
 from benchmarks.gap.signals import signals
-from imr_torch.errors import ConvergenceError, InputDataError
+from imr_torch.errors import ConvergenceError
 from imr_torch.float64 import linspace, ones, rand, randn
 from imr_torch.gap import Effect, library
 from imr_torch.material import PARAMETERS
-from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, predict
+from imr_torch.observe import Experiment, ExperimentBatch, Noise, predict
 from imr_torch.observe.nuisance import FLOOR
 from imr_torch.random import child, generator
 from imr_torch.simulate import (
@@ -49,7 +49,8 @@ _ATTEMPTS = 20
 
 @dataclass(frozen=True)
 class Task:
-    """One set of the benchmark; all that it depends on.
+    """One set of the benchmark; all that it depends on. Each experiment has errors of Rmax, time zero
+    and R_inf, which the diagnosis knows about.
 
     Args:
         kind: one of ``KINDS``.
@@ -57,8 +58,6 @@ class Task:
         repeats: curves a design.
         physics: one of ``PHYSICS``.
         seed: of the set and of its diagnosis.
-        nuisances: whether each experiment has errors of Rmax, time zero and R_inf, which the
-            diagnosis knows about.
         truths: one of ``TRUTHS``, by what the truth is simulated; polytropic ones are by finer
             steps in either case.
     """
@@ -68,25 +67,7 @@ class Task:
     repeats: int
     physics: str
     seed: int
-    nuisances: bool = False
     truths: str = "reference"
-
-    def __post_init__(self) -> None:
-        if (
-            self.kind not in KINDS
-            or self.physics not in PHYSICS
-            or self.truths not in TRUTHS
-        ):
-            raise InputDataError(
-                f"Task: expected a kind of {KINDS}, a physics of {PHYSICS} and truths of "
-                f"{TRUTHS}, got {self.kind}, "
-                f"{self.physics}, {self.truths}."
-            )
-        if self.designs < 1 or self.repeats < 1:
-            raise InputDataError(
-                f"Task: {self.designs} designs x {self.repeats} repeats; expected at least 1 of "
-                "each."
-            )
 
     @property
     def size(self) -> str:
@@ -97,7 +78,7 @@ class Task:
     def key(self) -> str:
         """What tells it from every other set."""
         own = "" if self.truths == TRUTHS[0] else f"/{self.truths}"
-        return f"{self.kind}/{self.size}/{self.physics}/{'nuisances' if self.nuisances else 'exact'}/{self.seed}{own}"
+        return f"{self.kind}/{self.size}/{self.physics}/nuisances/{self.seed}{own}"
 
     def simulator(self, *, fine: bool = False) -> PolytropicSimulator | TransportSimulator:
         """The simulator of the diagnosis, or that of the truth, which has another discretisation
@@ -148,7 +129,7 @@ def make_set(task: Task) -> SyntheticSet:
 
 
 def _try(task: Task, source: torch.Generator) -> SyntheticSet | None:
-    gel = {name: draw_log_uniform(bounds, source) for name, bounds in GEL.items()}
+    gel = draw_gel(source)
     plan = make_plan(draw_designs(task.designs + _BESIDE, source), task)
     known = library()
     chosen: dict[Effect, dict[str, float]] = {}
@@ -202,6 +183,11 @@ def _one_of(effects: tuple[Effect, ...], source: torch.Generator) -> Effect:
     return effects[int(torch.randint(len(effects), (), generator=source))]
 
 
+def draw_gel(source: torch.Generator) -> dict[str, float]:
+    """G and mu, SI."""
+    return {name: draw_log_uniform(bounds, source) for name, bounds in GEL.items()}
+
+
 def draw_log_uniform(bounds: tuple[float, float], source: torch.Generator) -> float:
     """Between two bounds."""
     low, high = map(math.log, bounds)
@@ -223,13 +209,11 @@ def draw_designs(count: int, source: torch.Generator) -> Tensor:
 def make_plan(designs: Tensor, task: Task) -> ExperimentBatch:
     """Experiments before they are shot."""
     times = linspace(0.0, 4.0, 81)
-    nuisance = FLOOR if task.nuisances else Nuisance()
     blank = ones(task.repeats, 81)
     pairs = [(weber, rest) for weber, rest in designs.tolist()]
     return ExperimentBatch(
         tuple(
-            Experiment(f"design {i}", d, times, blank, nuisance)
-            for i, d in enumerate(pairs)
+            Experiment(f"design {i}", d, times, blank, FLOOR) for i, d in enumerate(pairs)
         )
     )
 

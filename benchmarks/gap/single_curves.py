@@ -44,8 +44,7 @@ from benchmarks.records import (
     Job,
     Line,
     add_out,
-    read_record,
-    run_missing_jobs,
+    finish_command,
     start_commands,
     write_figures,
     write_table,
@@ -345,12 +344,7 @@ def main() -> None:
         command.add_argument(
             "--stated", action="store_true", help="R_inf is stated, 1 %% error"
         )
-    args = parser.parse_args()
-    if args.what == "table":
-        lines = read_record(*args.files)
-    else:
-        lines = run_missing_jobs(args.out, list_jobs(args), workers=args.workers)
-    print(write_scores(lines))
+    finish_command(parser, list_jobs, write_scores)
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ law's memory integrated there. It is compared with the inferred one where the bu
 the inverse square of the stated error (correlation) or by its own square (share inside the 90 % band).
 """
 
+import argparse
 import math
 import statistics
 from collections import Counter
@@ -27,9 +28,9 @@ from torch import Tensor
 
 from benchmarks.gap.sets import PHYSICS, Task, make_set
 from benchmarks.records import (
+    Job,
     Line,
-    read_record,
-    run_missing_jobs,
+    finish_command,
     start_commands,
     write_table,
 )
@@ -260,24 +261,22 @@ def write_scores(lines: list[Line]) -> str:
     return write_table(("", *SCORES), rows)
 
 
+def list_jobs(args: argparse.Namespace) -> dict[str, Job]:
+    """Two sets with an effect, one without in turn."""
+    kinds = ("withheld", "withheld", "none")
+    tasks = [
+        Task(kinds[n % 3], 3, 10, args.physics, args.seed + n) for n in range(args.sets)
+    ]
+    return {task.key: partial(infer_set, task) for task in tasks}
+
+
 def main() -> None:
     """Run or tabulate."""
     parser, _, runs = start_commands(__doc__)
     runs.add_argument("--sets", type=int, default=40)
     runs.add_argument("--physics", choices=PHYSICS, default="transport")
     runs.add_argument("--seed", type=int, default=0)
-    args = parser.parse_args()
-    if args.what == "table":
-        lines = read_record(*args.files)
-    else:
-        kinds = ("withheld", "withheld", "none")
-        tasks = [
-            Task(kinds[n % 3], 3, 10, args.physics, args.seed + n, nuisances=True)
-            for n in range(args.sets)
-        ]
-        jobs = {task.key: partial(infer_set, task) for task in tasks}
-        lines = run_missing_jobs(args.out, jobs, workers=args.workers)
-    print(write_scores(lines))
+    finish_command(parser, list_jobs, write_scores)
 
 
 if __name__ == "__main__":

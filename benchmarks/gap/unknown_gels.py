@@ -10,6 +10,7 @@ leaves between 4 and 40 sd of it, of the strong drag 15 to 60. In laboratories w
 library lacks what acts, so that functions alone can tell.
 """
 
+import argparse
 import math
 import time
 from functools import partial
@@ -17,19 +18,18 @@ from functools import partial
 import torch
 
 from benchmarks.gap.sets import (
-    GEL,
     Task,
     draw_designs,
     draw_effect,
-    draw_log_uniform,
+    draw_gel,
     film,
     make_plan,
 )
 from benchmarks.gap.signals import signals
 from benchmarks.records import (
+    Job,
     Line,
-    read_record,
-    run_missing_jobs,
+    finish_command,
     start_commands,
     write_table,
 )
@@ -76,7 +76,7 @@ def make_laboratory(
         ConvergenceError: where no attempt acts as is asked for.
     """
     source = generator(child(seed, kind))
-    task = Task("none", 2, 10, "polytropic", seed, nuisances=True)
+    task = Task("none", 2, 10, "polytropic", seed)
     names, (least, most) = TRUTHS[kind]
     for _ in range(attempts):
         effects = library(names) if names else ()
@@ -94,7 +94,7 @@ def make_laboratory(
         for _ in range(3 * tries + 1):
             if len(made) == 3:
                 return [x for x, _ in made], [acts for _, acts in made]
-            gel = {name: draw_log_uniform(bounds, source) for name, bounds in GEL.items()}
+            gel = draw_gel(source)
             plan = make_plan(draw_designs(2, source), task)
             acts = dict(drawn[len(made)][1]) if drawn else {}
             if (
@@ -170,24 +170,19 @@ def write_scores(lines: list[Line]) -> str:
     return write_table(("in truth", "laboratories", *VERDICTS, "named"), rows)
 
 
+def list_jobs(args: argparse.Namespace) -> dict[str, Job]:
+    """One laboratory of each kind in turn."""
+    kinds = tuple(TRUTHS)
+    asked = [(kinds[n % len(kinds)], args.seed + n // len(kinds)) for n in range(args.sets)]
+    return {f"{kind}/{seed}": partial(infer_laboratory, kind, seed) for kind, seed in asked}
+
+
 def main() -> None:
     """Run or tabulate."""
     parser, _, runs = start_commands(__doc__)
     runs.add_argument("--sets", type=int, default=56)
     runs.add_argument("--seed", type=int, default=0)
-    args = parser.parse_args()
-    if args.what == "table":
-        lines = read_record(*args.files)
-    else:
-        kinds = tuple(TRUTHS)
-        asked = [
-            (kinds[n % len(kinds)], args.seed + n // len(kinds)) for n in range(args.sets)
-        ]
-        jobs = {
-            f"{kind}/{seed}": partial(infer_laboratory, kind, seed) for kind, seed in asked
-        }
-        lines = run_missing_jobs(args.out, jobs, workers=args.workers)
-    print(write_scores(lines))
+    finish_command(parser, list_jobs, write_scores)
 
 
 if __name__ == "__main__":

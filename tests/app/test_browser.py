@@ -64,7 +64,6 @@ def address(tmp_path_factory):
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=outside
     )
     try:
-        assert process.stdout is not None
         line = process.stdout.readline()
         found = re.match(r"Open (http://127\.0\.0\.1:\d+/\?token=\S+)", line)
         assert found, (
@@ -138,7 +137,6 @@ def test_that_a_line_can_be_moved_and_a_value_typed_and_both_taken_back(app):
     app.sees(re.compile(r"shot_1: Rmax .* \(as given\)"))
     line = app.page.locator('.shapelayer path[data-index="2"]')  # R_inf
     box = line.bounding_box()
-    assert box is not None
     start = (box["x"] + 0.7 * box["width"], box["y"] + 0.5 * box["height"])
     app.page.mouse.move(*start)
     app.page.mouse.down()
@@ -256,7 +254,6 @@ def test_that_all_tabs_are_in_sight_on_a_narrow_screen(app):
     boxes = [tab.bounding_box() for tab in app.page.get_by_role("tab").all()]
     assert len(boxes) == 5
     for box in boxes:
-        assert box is not None
         assert box["x"] >= 0.0
         assert box["x"] + box["width"] <= 400.0
 

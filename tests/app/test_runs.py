@@ -32,8 +32,8 @@ def runs(tmp_path: Path) -> Runs:
 
 
 def simulate(folder: str) -> list[str]:
-    values = ["--set", "G=5000,mu=0.1", "--we", "300", "--physics", "polytropic"]
-    return ["simulate", "--model", "nhkv", *values, "--json", f"{folder}/simulate.json"]
+    values = "--set G=5000,mu=0.1 --we 300 --physics polytropic"
+    return f"simulate --model nhkv {values} --json {folder}/simulate.json".split()
 
 
 def slow(folder: str) -> list[str]:
@@ -44,7 +44,6 @@ def slow(folder: str) -> list[str]:
 
 def begun(all_runs: Runs, arguments: Callable[[str], list[str]], kind: str) -> Run:
     all_runs.add_run(arguments, kind)
-    assert all_runs.current is not None
     return all_runs.current
 
 
@@ -114,7 +113,6 @@ def seen(tmp_path_factory):
 
 
 def test_that_a_run_shows_progress_and_can_be_stopped(seen):
-    assert seen.part is not None
     assert 0.0 < seen.part < 1.0
     assert result_of(seen.runs, "001_design").status == 130
 
@@ -142,7 +140,6 @@ def test_that_a_run_leaves_its_files_output_and_record(seen):
 def test_that_a_run_goes_on_in_an_earlier_folder_where_it_is_told_to(seen):
     all_runs = seen.runs
     all_runs.add_run(simulate, "simulate", "results/007_simulate")
-    assert all_runs.current is not None
     finished(all_runs.current)
     assert sorted(all_runs.list_results()) == sorted(seen.ended)
 
@@ -284,17 +281,9 @@ def test_that_every_option_of_a_command_is_in_its_form_or_that_of_the_folder(com
 def test_that_a_campaign_goes_on_in_its_folder():
     values = {"continued": "results/003_campaign", "tell": ["files/shot.csv"]}
     words = command_arguments("campaign", values, "results/003_campaign")
-    assert words == [
-        *(
-            "campaign",
-            "--tell",
-            "files/shot.csv",
-            "--resume",
-            "--out",
-            "results/003_campaign",
-        ),
-        *("--html", "results/003_campaign/page.html"),
-    ]
+    out = "results/003_campaign"
+    told = f"campaign --tell files/shot.csv --resume --out {out} --html {out}/page.html"
+    assert words == told.split()
 
 
 def test_that_the_shots_of_a_batch_are_rows_with_numbers_that_can_be_read(tmp_path):

@@ -101,7 +101,6 @@ def test_that_a_curve_is_shown_as_the_commands_fit_it(tmp_path):
     made = workspace(tmp_path)
     view = made.view_curve("shot_2", 2)
     prepared = prepare(load_traces(example_gel()).select(["shot_2"]))
-    assert view.fitted is not None
     assert view.fitted[1] - view.fitted[0] + 1 == len(prepared.experiments[0].times)
     assert view.report == prepared.report().splitlines()[1].strip()
 

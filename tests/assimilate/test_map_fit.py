@@ -52,6 +52,12 @@ def assert_exact(fit: ModelFit, truth: Exact, *, atol: float = 3e-7) -> None:
     assert error.abs().max() < 1e-5  # standard deviations; a certificate allows 1e-3
 
 
+def distance(fit: ModelFit, truth: Exact) -> float:
+    """The largest over controls, in standard deviations."""
+    sds = truth.covariance.diagonal().sqrt()
+    return float(((fit.mean - truth.mean).abs() / sds).max())
+
+
 @pytest.mark.parametrize(
     "correlated", [False, True], ids=["standard prior", "correlated prior"]
 )
@@ -146,16 +152,9 @@ def test_that_repeats_count_as_often_as_they_were_made():
 def test_that_the_cost_is_that_of_the_joint_density():
     batch = experiments(3, nuisance=BOTH)
     fit = fit_linear(batch).fits[0]
-    prediction = predict(
-        LinearSimulator(),
-        fit.parameters(fit.mean),
-        batch,
-        fit.nuisances * batch.nuisance_sds,
-    )
-    expected = (
-        0.5 * (fit.mean.square().sum() + fit.nuisances.square().sum())
-        - batch.log_likelihood(prediction).sum()
-    )
+    shifts = fit.nuisances * batch.nuisance_sds
+    prediction = predict(LinearSimulator(), fit.parameters(fit.mean), batch, shifts)
+    expected = cost_of(fit, batch, fit.mean, fit.nuisances, LinearSimulator())
     assert fit.cost == pytest.approx(float(expected), rel=1e-12)
     assert_close(torch.where(batch.mask, prediction, 0.0), fit.prediction)
     assert fit_rmse(batch, prediction) == pytest.approx(
@@ -204,7 +203,7 @@ def test_that_an_integration_error_that_jumps_does_not_keep_a_fit_from_convergin
     assert fit.certificate.converged
     assert fit.certificate.agreement < 1e-6
     truth = exact(NHKV.models[0], batch)
-    assert ((fit.mean - truth.mean).abs() / truth.covariance.diagonal().sqrt()).max() < 0.1
+    assert distance(fit, truth) < 0.1
     # differences of the error, divided by their step
     alone = fit_linear(batch, JitterySimulator(lock_step=False)).fits[0]
     assert alone.chol.diagonal().prod() < 1e-3 * truth.covariance.det().sqrt()
@@ -354,10 +353,11 @@ def test_that_the_gel_is_found_within_its_interval(bubbles):
     assert (fit.posterior.sds < 0.1 * fit.prior.sds).all()
 
 
-def cost_of(fit: ModelFit, batch: ExperimentBatch, v: Tensor, w: Tensor) -> Tensor:
-    prediction = predict(
-        PolytropicSimulator(), fit.parameters(v), batch, w * batch.nuisance_sds
-    )
+def cost_of(
+    fit: ModelFit, batch: ExperimentBatch, v: Tensor, w: Tensor, simulator=None
+) -> Tensor:
+    simulator = simulator or PolytropicSimulator()
+    prediction = predict(simulator, fit.parameters(v), batch, w * batch.nuisance_sds)
     likelihood = batch.log_likelihood(torch.where(batch.mask, prediction, 0.0)).sum(-1)
     return 0.5 * v.square().sum(-1) + 0.5 * w.square().sum((-2, -1)) - likelihood
 
@@ -429,6 +429,4 @@ def test_that_a_chain_whose_bubbles_cannot_be_simulated_any_more_ends_and_not_th
     ).fits[0]
     truth = exact(NHKV.models[0], batch)
     assert found.certificate.converged
-    assert (
-        (found.mean - truth.mean).abs() / truth.covariance.diagonal().sqrt()
-    ).max() < 0.1
+    assert distance(found, truth) < 0.1

@@ -34,6 +34,13 @@ class CuspedSimulator(FormulaSimulator):
         return 0.1 + 0.9 * rebound * ((times - collapse).abs() / collapse).pow(0.4)
 
 
+def film(gel: torch.Tensor, errors: torch.Tensor | float = 0.0) -> ExperimentBatch:
+    """A curve of a gel."""
+    radius = CuspedSimulator()(gel, tensor(500.0, 0.2), TIMES).radius[None]
+    shot = Experiment("cusp", (500.0, 0.2), TIMES, radius + errors)
+    return ExperimentBatch((shot,), NOISE)
+
+
 def wrong_minima() -> int:
     """Of 24 gels, each searched for from two draws of the prior, those that are missed by 5 standard deviations."""
     wrong = 0
@@ -46,9 +53,7 @@ def wrong_minima() -> int:
                 for name, v in zip(("G", "mu"), truth, strict=True)
             }
         )
-        radius = CuspedSimulator()(gel, tensor(500.0, 0.2), TIMES).radius
-        data = radius + NOISE.floor * randn(1, len(TIMES), generator=noise)
-        batch = ExperimentBatch((Experiment("cusp", (500.0, 0.2), TIMES, data),), NOISE)
+        batch = film(gel, NOISE.floor * randn(1, len(TIMES), generator=noise))
         options = SearchOptions(raw_samples=2, starts=2)
         fit = fit_linear(batch, CuspedSimulator(), seed=seed, options=options).fits[0]
         wrong += bool(
@@ -105,8 +110,7 @@ def test_that_the_way_without_collapses_ends_where_it_cannot_come_near_a_known_f
     beside it can.
     """
     gel = PARAMETERS.pack({name: MEANS[name] + 0.5 * SDS[name] for name in ("G", "mu")})
-    data = CuspedSimulator()(gel, tensor(500.0, 0.2), TIMES).radius[None]
-    batch = ExperimentBatch((Experiment("cusp", (500.0, 0.2), TIMES, data),), NOISE)
+    batch = film(gel)
 
     def search(rival: float) -> tuple[float, int]:
         simulator = CountingSimulator()
@@ -130,8 +134,7 @@ def test_that_the_way_without_collapses_ends_where_it_cannot_come_near_a_known_f
 
 
 def test_that_no_gel_costs_less_than_a_prediction_that_meets_every_frame():
-    data = CuspedSimulator()(PARAMETERS.pack(MEANS), tensor(500.0, 0.2), TIMES).radius[None]
-    batch = ExperimentBatch((Experiment("cusp", (500.0, 0.2), TIMES, data),), NOISE)
+    batch = film(PARAMETERS.pack(MEANS))
     posterior = Posterior(NHKV.models[0], batch, CuspedSimulator())
     gels = torch.cat((zeros(1, 2), randn(50, 2, generator=generator(1))))
     costs = -posterior.log_joint(Point(gels, posterior.mean_nuisances(len(gels))))

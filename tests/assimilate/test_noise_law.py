@@ -14,7 +14,6 @@ from imr_torch.assimilate import (
     Posterior,
     SearchOptions,
     assimilate,
-    assimilate_estimating_noise,
     noise_nodes,
     weigh,
 )
@@ -30,6 +29,7 @@ from tests.linear import (
     LinearSimulator,
     exact,
     experiments,
+    fit_noise,
     tensor,
 )
 from tests.refusals import refused
@@ -46,14 +46,6 @@ KNOWN = NoiseLaws(
 
 def fitted(batch: ExperimentBatch) -> Assimilation:
     return assimilate(PRIOR, batch, SIMULATOR, seed=0, options=OPTIONS)
-
-
-def estimated(
-    batch: ExperimentBatch, simulator=SIMULATOR, *, seed: int = 0, rounds: int = 1
-):
-    return assimilate_estimating_noise(
-        PRIOR, batch, simulator, rounds=rounds, seed=seed, options=OPTIONS, warn=False
-    )
 
 
 def nodes_of(batch: ExperimentBatch) -> NoiseNodes:
@@ -95,7 +87,6 @@ def test_that_evidence_and_moments_over_the_noise_are_those_of_brute_force_sums(
     expected = by_brute_force(batch, nodes)
     fit = weigh(fitted(batch), SIMULATOR, seed=0, samples=1024, noise=nodes)["nhkv"]
     sample = fit.sample
-    assert sample is not None
     assert sample.reliable
     assert sample.log_evidence == pytest.approx(
         float(expected["evidence"]), abs=4.0 * sample.log_evidence_error + 0.01
@@ -128,7 +119,7 @@ def test_that_intervals_over_the_noise_cover_where_plugged_in_ones_are_narrower(
     wider = []
     for seed in range(40):
         batch, gel = film(1000 + seed)
-        fits = estimated(batch, seed=seed)
+        fits = fit_noise(batch, seed=seed)
         sds = []
         for kind, noise in (
             ("plugged", None),
@@ -155,7 +146,7 @@ def test_that_intervals_beside_residuals_that_drift_hold_and_those_of_independen
     inside: dict[str, list[bool]] = {"independent": [], "widened": []}
     for seed in range(25):
         batch, gel = drifting(seed)
-        fits = estimated(batch, SLOW, seed=seed)
+        fits = fit_noise(batch, SLOW, seed=seed)
         law = fits.batch.noise
         assert (law.correlation_time, law.widened > 1.5) == (0.0, True)
         for kind, one in (("independent", law.of_frames), ("widened", law)):
@@ -183,7 +174,7 @@ def test_that_intervals_stay_as_they_are_where_frames_are_independent(
     factors = []
     for seed in range(16):
         batch = independent(seed, repeats)
-        fits = estimated(batch, SLOW, seed=seed)
+        fits = fit_noise(batch, SLOW, seed=seed)
         factors.append(fits.batch.noise.widened)
     assert sorted(factors)[8] < 1.05
     assert sum(factor > 1.3 for factor in factors) <= 2
@@ -199,7 +190,7 @@ def test_that_repeats_tell_a_misfit_from_noise():
         batch,
         experiments=tuple(replace(e, radius=e.radius + bent) for e in batch.experiments),
     )
-    fits = estimated(moved, SLOW, rounds=2)
+    fits = fit_noise(moved, SLOW, rounds=2)
     level = float(
         fits.batch.of_frames.noise.sd(tensor(0.5), tensor(1.0))
         / NOISE.sd(tensor(0.5), tensor(1.0))

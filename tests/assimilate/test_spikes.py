@@ -6,17 +6,14 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from imr_torch.assimilate import SearchOptions, assimilate_estimating_noise
 from imr_torch.assimilate.spikes import frames_left_out
 from imr_torch.float64 import linspace, randn
 from imr_torch.observe import Experiment, ExperimentBatch, Nuisance
 from imr_torch.random import generator
-from tests.linear import CORRELATED, NHKV, NOISE, LinearSimulator, tensor
+from tests.linear import CORRELATED, NHKV, NOISE, LinearSimulator, fit_noise, tensor
 
-PRIOR = NHKV
-PART = PRIOR.models[0]
+PART = NHKV.models[0]
 SIMULATOR = LinearSimulator()
-OPTIONS = SearchOptions(raw_samples=8, starts=2)
 TIMES = linspace(0.05, 2.5, 60)
 SD = 0.05
 
@@ -33,12 +30,6 @@ def film(seed: int, bad: dict[int, float], law=NOISE, repeats: int = 1) -> Exper
     return ExperimentBatch((Experiment("a", (400.0, 0.2), TIMES, seen, nuisance),), NOISE)
 
 
-def fit(batch: ExperimentBatch, seed: int = 0, rounds: int = 2):
-    return assimilate_estimating_noise(
-        PRIOR, batch, SIMULATOR, rounds=rounds, seed=seed, options=OPTIONS, warn=False
-    )
-
-
 @pytest.mark.parametrize("law", [NOISE, CORRELATED])
 def test_that_spoilt_frames_are_left_out_and_no_other(law, few_deviations):
     hits = 0
@@ -47,7 +38,9 @@ def test_that_spoilt_frames_are_left_out_and_no_other(law, few_deviations):
         bad = {7: 14.0, 31: -16.0, 50: 20.0}
         for errors, place in ((bad, seed), ({}, 100 + seed)):
             batch = film(place, errors, law)
-            lost = frames_left_out(batch.curves, fit(batch, seed).batch.curves).get("a", [])
+            lost = frames_left_out(
+                batch.curves, fit_noise(batch, rounds=2, seed=seed).batch.curves
+            ).get("a", [])
             hits += len(set(lost) & set(errors))
             false += len(set(lost) - set(errors))
     assert hits >= 16  # of 18
@@ -58,14 +51,14 @@ def test_that_the_fit_is_that_of_the_curve_without_them():
     batch = film(3, {22: 30.0})
     kept = torch.arange(60) != 22
     good = ExperimentBatch((batch.curves[0].at(kept),), NOISE)
-    found = fit(batch)["nhkv"]
-    expected = fit(good)["nhkv"]
+    found = fit_noise(batch, rounds=2)["nhkv"]
+    expected = fit_noise(good, rounds=2)["nhkv"]
     assert_close(found.mean, expected.mean, rtol=0.0, atol=1e-2)
     assert_close(found.chol, expected.chol, rtol=1e-2, atol=1e-3)
-    spoilt = fit(batch, rounds=0)["nhkv"]
+    spoilt = fit_noise(batch, rounds=0)["nhkv"]
     assert (spoilt.mean - expected.mean).abs().max() > 0.05
 
 
 def test_that_repeats_say_themselves_what_is_usual():
     batch = film(3, {22: 30.0}, repeats=4)
-    assert len(fit(batch).batch.curves[0].times) == 60
+    assert len(fit_noise(batch, rounds=2).batch.curves[0].times) == 60

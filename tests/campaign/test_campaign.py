@@ -33,6 +33,9 @@ SETTINGS = CampaignSettings(
     policy=Optimal(Laplace(draws=3, rivals=3), evaluations=5, initial=4),
     learner=ExactLearner(32, SearchOptions(raw_samples=24, starts=2)),
 )
+LEARNING = replace(
+    SETTINGS, policy=Random(), learner=replace(SETTINGS.learner, noise_rounds=2)
+)
 LABORATORY = SimulatedLaboratory(
     SIMULATOR, PARAMETERS.pack(CASE.truth), repeats=20, times=TIMES
 )
@@ -101,17 +104,14 @@ def test_noise_that_was_learnt_is_in_the_journal_and_is_what_the_next_design_exp
     louder = SimulatedLaboratory(
         SIMULATOR, LABORATORY.truth, repeats=20, times=TIMES, noise=Noise(scale=4.0)
     )
-    settings = replace(
-        SETTINGS, policy=Random(), learner=replace(SETTINGS.learner, noise_rounds=2)
-    )
-    run = campaign(tmp_path / "loud", settings=settings)
-    assert run.plan == settings.plan
+    run = campaign(tmp_path / "loud", settings=LEARNING)
+    assert run.plan == LEARNING.plan
     step = run.tell(louder.shoot(tensor([400.0, 0.2]), seed=0))
     # some 20 frames of a mean curve
     assert step.noise.scale == pytest.approx(4.0, rel=0.35)
-    again = campaign(tmp_path / "loud", settings=settings)
+    again = campaign(tmp_path / "loud", settings=LEARNING)
     assert again.plan.noise == run.plan.noise == step.noise
-    assert again.plan.repeats == settings.plan.repeats
+    assert again.plan.repeats == LEARNING.plan.repeats
 
 
 @pytest.mark.parametrize("missed", [False, True])
@@ -120,13 +120,10 @@ def test_that_noise_is_that_of_a_misfit_where_the_model_misses_what_was_told(
 ):
     truth = PARAMETERS.pack(CASE.truth | {"gas_loss": 2.0 if missed else 0.0})
     laboratory = SimulatedLaboratory(SIMULATOR, truth, repeats=1)
-    settings = replace(
-        SETTINGS, policy=Random(), learner=replace(SETTINGS.learner, noise_rounds=2)
-    )
-    run = campaign(tmp_path / "told", settings=settings)
+    run = campaign(tmp_path / "told", settings=LEARNING)
     step = run.tell(laboratory.shoot(tensor([400.0, 0.2]), seed=0))
     assert (step.noise.widened > 1.5) == missed
-    assert campaign(tmp_path / "told", settings=settings).plan.noise == step.noise
+    assert campaign(tmp_path / "told", settings=LEARNING).plan.noise == step.noise
 
 
 def test_that_the_cost_of_a_known_fit_is_no_setting():

@@ -27,7 +27,6 @@ COARSE = plan(noise=Noise(slope=0.0, drift=0.0, floor=2.0))
 
 def forecast(text, *, belief=SURE, how=COARSE, count=12, draws=6):
     rule = stopping_rule(text)
-    assert rule is not None
     designs = DESIGNS[[0, 1] * (count // 2)]
     return forecast_shots(belief, designs, LinearCamera(), how, rule, draws=draws)
 

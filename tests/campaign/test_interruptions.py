@@ -10,10 +10,8 @@ import pytest
 from benchmarks.interruptions import Disk, compare, forked, left_over
 from imr_torch.campaign import Campaign
 from tests.campaign.test_telling import campaign, shoot
-from tests.journals import cut
+from tests.journals import cut, needs_fork
 from tests.linear import tensor
-
-needs_fork = pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are forked")
 
 
 def simulated(folder) -> int:

@@ -10,12 +10,11 @@ import pytest
 from benchmarks.interruptions import Disk, forked
 from imr_torch.campaign import Journal
 from imr_torch.errors import InputDataError
-from tests.journals import cut
+from tests.journals import cut, needs_fork
 from tests.refusals import refused
 from tests.tables import for_each
 
 COUNT = 5
-needs_fork = pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are forked")
 
 
 @pytest.fixture

@@ -24,6 +24,7 @@ from tests.linear import NHKV, NOISE, LinearSimulator, exact, prior, tensor
 SIMULATOR = LinearSimulator()
 TIMES = linspace(0.1, 3.0, 30)
 EXACT = ExactLearner(64, SearchOptions(raw_samples=24))
+TRUTH = PARAMETERS.pack({"G": 5300.0, "mu": 0.16})
 TWO = ("newtonian", "nhkv")
 
 
@@ -38,9 +39,8 @@ def shot(
     design: tuple[float, float] = (300.0, 0.2),
     seed: int = 0,
 ) -> ExperimentBatch:
-    truth = PARAMETERS.pack({"G": 5300.0, "mu": 0.16})
     laboratory = SimulatedLaboratory(
-        SIMULATOR, truth, noise=noise, repeats=repeats, times=TIMES
+        SIMULATOR, TRUTH, noise=noise, repeats=repeats, times=TIMES
     )
     return ExperimentBatch((laboratory.shoot(tensor(*design), seed=seed),), noise)
 
@@ -94,9 +94,8 @@ def test_5_the_best_observed_value_does_not_win_by_luck():
 
 
 def test_6_the_design_that_counts_is_the_one_that_was_achieved(tmp_path):
-    truth = PARAMETERS.pack({"G": 5300.0, "mu": 0.16})
     laboratory = SimulatedLaboratory(
-        SIMULATOR, truth, noise=NOISE, repeats=50, times=TIMES, scatter=(0.2, 0.1)
+        SIMULATOR, TRUTH, noise=NOISE, repeats=50, times=TIMES, scatter=(0.2, 0.1)
     )
     asked = tensor(400.0, 0.2)
     achieved = laboratory.shoot(asked, seed=5)

@@ -145,6 +145,19 @@ def radius(config: Mapping[str, Any]) -> Tensor:
     Raises:
         UnsupportedError: for a stress model or radial equation that is not known.
     """
+    conditions, values, design, times = read_setting(config)
+    terms = (LAGGING_ZENER,) if "tau" in values else None
+    if config["bubble_gas"] == "polytropic":
+        simulator = PolytropicSimulator(conditions, STEPPINGS["reference"], terms)
+    else:
+        simulator = TransportSimulator(conditions, ACCURACY, terms)
+    return simulator(PARAMETERS.pack(values), float64.tensor(design), times).radius
+
+
+def read_setting(
+    config: Mapping[str, Any],
+) -> tuple[Conditions, dict[str, float], tuple[float, float], Tensor]:
+    """Conditions, gel, design and times of a configuration, which :func:`radius` simulates."""
     names = MODELS.get(config["stress_model"])
     if names is None:
         raise UnsupportedError(
@@ -154,13 +167,8 @@ def radius(config: Mapping[str, Any]) -> Tensor:
     outer = conditions.surroundings
     size = float(config["initial_radius_m"])
     times = torch.as_tensor(config["times_s"], dtype=torch.float64) / outer.time_scale(size)
-    designs = float64.tensor([outer.weber(size), config["equilibrium_radius_m"] / size])
-    terms = (LAGGING_ZENER,) if "tau" in names else None
-    if config["bubble_gas"] == "polytropic":
-        simulator = PolytropicSimulator(conditions, STEPPINGS["reference"], terms)
-    else:
-        simulator = TransportSimulator(conditions, ACCURACY, terms)
-    return simulator(PARAMETERS.pack(_values(config, names)), designs, times).radius
+    design = float(outer.weber(size)), config["equilibrium_radius_m"] / size
+    return conditions, _values(config, names), design, times
 
 
 def _values(config: Mapping[str, Any], names: tuple[str, ...]) -> dict[str, float]:

@@ -128,7 +128,6 @@ def test_that_the_targets_are_the_parts_of_the_whole(estimator):
         parts["both"].of_target("parameters").variance
     )
     for gain in parts.values():
-        assert gain.influence is not None
         influence = gain.influence.sum(1)
         assert influence.square().sum() == pytest.approx(gain.variance, rel=1e-9)
 

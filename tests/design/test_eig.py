@@ -88,13 +88,6 @@ def test_laplace_is_exact_for_a_linear_gaussian_model(q, changes):
         assert found.counted == found.drawn == 6
 
 
-def test_laplace_is_not_bounded_by_the_number_of_draws():
-    precise = plan(repeats=10**8)
-    found = gain(ONE, DESIGNS[:1], precise, Laplace(draws=6))
-    assert found.value == pytest.approx(exact(ONE, DESIGNS[:1], precise), rel=1e-6)
-    assert found.value > 5 * math.log(6)
-
-
 def model_information(belief, how, count=40000):
     """``I(y; m)`` by plain Monte Carlo with the exact Gaussian evidences; its error is below .004."""
     if len(belief.models) == 1:

@@ -56,21 +56,6 @@ def test_the_recommendation_finds_the_maximum_of_a_noisy_utility():
     assert abs(best.mean - utility(best.design[None])) < 5.0 * best.sd + 0.02
 
 
-def test_the_recommendation_is_not_the_best_noisy_value():
-    optimizer = run(8)
-    lucky = tensor([[150.0, 0.29]])
-    poor = full((1, 1), float(utility(lucky)))
-    for shift in (
-        -1.0,
-        1.0,
-        6.0,
-        -6.0,
-    ):  # one lucky value among unlucky ones at a poor design
-        optimizer.tell(lucky, poor + shift, full((1, 1), 20.0))
-    assert optimizer.train_Y.max() > 4.0
-    assert (optimizer.recommend().design - PEAK).abs()[1] < 0.05
-
-
 def test_the_same_tells_give_the_same_asks_whatever_the_global_generator_does():
     first = run(7, seed=3).ask(2)
     torch.manual_seed(1234)

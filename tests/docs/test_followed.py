@@ -14,19 +14,10 @@ from imr_torch import example_gel, load_traces
 
 HOWTO = Path(__file__).resolve().parents[2] / "docs" / "howto"
 CHEAPER = {
-    "characterize": ["--physics", "polytropic", "--noise", "published", "--models", "nhkv"],
-    "diagnose": [
-        "--physics",
-        "polytropic",
-        "--noise",
-        "published",
-        "--most",
-        "1",
-        "--effects",
-        "wall,clock",
-    ],
-    "batch": ["--physics", "polytropic", "--noise", "published", "--workers", "1"],
-    "simulate": ["--physics", "polytropic"],
+    "characterize": "--physics polytropic --noise published --models nhkv",
+    "diagnose": "--physics polytropic --noise published --most 1 --effects wall,clock",
+    "batch": "--physics polytropic --noise published --workers 1",
+    "simulate": "--physics polytropic",
 }
 RUN = """
 import os, sys
@@ -89,7 +80,7 @@ def blocks(page: str, language: str) -> list[str]:
 
 def cheaper(arguments: list[str]) -> list[str]:
     """What makes a command cheap, but for options that its line has."""
-    options = CHEAPER.get(arguments[0], [])
+    options = CHEAPER.get(arguments[0], "").split()
     pairs = zip(options[::2], options[1::2], strict=True)
     return [word for pair in pairs if pair[0] not in arguments for word in pair]
 

@@ -117,15 +117,14 @@ def test_that_arvizs_plots_and_comparison_take_the_tree(weighted):
     stats = pytest.importorskip("arviz_stats")
     pyplot = pytest.importorskip("matplotlib.pyplot")
     tree = to_arviz(weighted, seed=0, draws=200)
-    plots.plot_dist(tree["nhkv"], var_names=["G", "mu"], backend="matplotlib")
-    plots.plot_pair(tree["nhkv"], var_names=["G", "mu"], backend="matplotlib")
-    plots.plot_forest(tree["nhkv"], var_names=["G", "mu"], backend="matplotlib")
+    for plot in (plots.plot_dist, plots.plot_pair, plots.plot_forest):
+        plot(tree["nhkv"], var_names=["G", "mu"], backend="matplotlib")
     pyplot.close("all")
     table = stats.compare({name: tree[name] for name in ("newtonian", "nhkv")})
     assert table.index[0] == "nhkv"
 
 
-def test_that_a_fit_without_weights_gives_its_gaussian(weighted):
+def test_that_a_fit_without_weights_gives_its_gaussian():
     fit = fit_linear(experiments(1))
     branch = to_arviz(fit, seed=0, draws=4000)["nhkv"]
     assert set(branch.children) == {"posterior", "observed_data", "constant_data"}

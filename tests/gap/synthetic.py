@@ -1,19 +1,23 @@
 """Sets whose truth is known, from the simulator that also fits them, and fits that start near the truth."""
 
+from collections.abc import Sequence
+
 import torch
 
 from imr_torch.assimilate import ModelFit, SearchOptions, assimilate
 from imr_torch.float64 import linspace, ones, tensor, zeros
+from imr_torch.gap import GapReport, diagnose
 from imr_torch.gap.hypotheses import Hypothesis
-from imr_torch.material import LIBRARY, PARAMETERS, Belief, wide_prior
+from imr_torch.material import LIBRARY, PARAMETERS, Belief, library, wide_prior
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance, predict
 from imr_torch.random import generator
 from imr_torch.simulate import PolytropicSimulator
 
-SIMULATOR = PolytropicSimulator()
+SIMULATOR = PolytropicSimulator(threads=1)
 BASE = wide_prior(("nhkv",)).models[0]
 GEL = {"G": 8e3, "mu": 0.08}
 DESIGNS = ((200.0, 0.2), (700.0, 0.25), (400.0, 0.16))
+UNSURE = Nuisance(max_radius=0.003, time_zero=0.004, rest_radius=0.01)
 
 
 def shoot(
@@ -57,6 +61,11 @@ def fit(
     return assimilate(
         belief, batch, SIMULATOR, seed=0, options=options, starts=[starts]
     ).fits[0]
+
+
+def diagnose_offered(shots: Sequence[Experiment], names: Sequence[str], **how) -> GapReport:
+    """A diagnosis that has the named effects alone."""
+    return diagnose(shots, effects=library(names), simulator=SIMULATOR, **how)
 
 
 CAUSES = {"strain_stiffening": {"alpha": 0.05}, "damage": {"damage": 0.02}}

@@ -55,7 +55,6 @@ def hidden(tmp_path_factory):
 def test_that_the_hidden_effect_is_named_and_ends_the_campaign(hidden):
     found = campaign(hidden)
     last = found.steps[-1].finding
-    assert last is not None
     assert last.verdict == "effect"
     assert last.causes == ("sound_speed",)
     assert last.leader is not None
@@ -74,7 +73,6 @@ def test_that_a_campaign_without_a_gap_names_no_cause(tmp_path):
     found = campaign(tmp_path)
     found.run(shoot({}), 2)
     last = found.steps[-1].finding
-    assert last is not None
     assert (last.verdict, last.causes) == ("none", ())
     assert found.reason_to_stop() is None or "nothing is missing" in str(
         found.reason_to_stop()
@@ -104,10 +102,8 @@ def test_that_a_design_is_chosen_for_the_causes_that_are_left(tmp_path):
     own = campaign(tmp_path, 0.99)
     own.tell(shoot({"sound_speed": 0.3})(tensor([400.0, 0.2]), 1))
     finding = own.steps[-1].finding
-    assert finding is not None
     assert finding.probabilities
     proposal = own.ask()
-    assert proposal.gain is not None
     assert proposal.gain > 0.0
     assert finding.leader in proposal.reason
 
@@ -135,23 +131,11 @@ test_that_settings_are_checked = refusals(
 
 
 def test_that_the_command_looks_for_a_hidden_cause(tmp_path):
-    words = (
-        "--goal",
-        "cause",
-        "--case",
-        "stiff-pa",
-        "--hide",
-        "sound_speed=0.8",
-        "--effects",
-        ",".join(OFFERED),
+    goal = (
+        f"--goal cause --case stiff-pa --hide sound_speed=0.8 --effects {','.join(OFFERED)}"
     )
-    main(
-        [
-            "campaign",
-            *words,
-            *f"--designs 1 --repeats 3 --physics polytropic --out {tmp_path}/hunt".split(),
-        ]
-    )
+    shots = f"--designs 1 --repeats 3 --physics polytropic --out {tmp_path}/hunt"
+    main(["campaign", *goal.split(), *shots.split()])
     document = json.loads((tmp_path / "hunt" / "campaign.json").read_text())
     assert document["findings"][0]["verdict"] in ("effect", "class", "other", "undecided")
     assert set(document["findings"][0]["probabilities"]) <= {*OFFERED, "none", "other"}

@@ -14,10 +14,9 @@ from imr_torch.goodness.linear import Linearisation, linearise_fit
 from imr_torch.goodness.score import effect_directions
 from imr_torch.material import LIBRARY, Effect
 from imr_torch.observe import Nuisance
-from tests.gap.synthetic import SIMULATOR, fit, shoot
+from tests.gap.synthetic import SIMULATOR, UNSURE, fit, shoot
 
 REPEATS = 20
-NUISANCE = Nuisance(0.003, 0.004, 0.01)
 
 
 def one_start(name: str, value: float) -> Effect:
@@ -34,7 +33,7 @@ def left_of(effect: Effect, line: Linearisation) -> tuple[float, float]:
     )
 
 
-@pytest.fixture(scope="module", params=[Nuisance(), NUISANCE], ids=["exact", "nuisances"])
+@pytest.fixture(scope="module", params=[Nuisance(), UNSURE], ids=["exact", "nuisances"])
 def matched(request):
     """The neighbourhood of the fit of a matched set."""
     batch = shoot({}, repeats=REPEATS, nuisance=request.param)

@@ -17,6 +17,13 @@ from tests.gap.synthetic import BASE, SIMULATOR, fit, shoot
 EFFECTS = (LIBRARY["gas_loss"], LIBRARY["surface_tension"])
 
 
+@pytest.fixture(scope="module")
+def leaking():
+    """Shots of a bubble that loses gas, and the fit of the base model."""
+    batch = shoot({"gas_loss": 0.2})
+    return batch, fit(batch)
+
+
 def test_that_the_credible_set_is_the_smallest_that_reaches_its_level():
     posterior = {"a": 0.6, "b": 0.3, "none": 0.06, "other": 0.04}
     base = Hypothesis(BASE)
@@ -26,9 +33,8 @@ def test_that_the_credible_set_is_the_smallest_that_reaches_its_level():
     assert found.credible_set(0.95) == ("a", "b", "none")
 
 
-def test_that_a_winner_whose_fit_was_cut_short_is_fitted_to_the_end(monkeypatch):
-    batch = shoot({"gas_loss": 0.2})
-    null = fit(batch)
+def test_that_a_winner_whose_fit_was_cut_short_is_fitted_to_the_end(leaking, monkeypatch):
+    batch, null = leaking
     monkeypatch.setattr(
         "imr_torch.gap.attribute._FIT", SearchOptions(starts=2, iterations=2)
     )
@@ -47,9 +53,10 @@ def test_that_a_winner_whose_fit_was_cut_short_is_fitted_to_the_end(monkeypatch)
     )
 
 
-def test_that_a_fit_that_does_not_converge_is_left_out_and_the_next_one_leads(monkeypatch):
-    batch = shoot({"gas_loss": 0.2})
-    null = fit(batch)
+def test_that_a_fit_that_does_not_converge_is_left_out_and_the_next_one_leads(
+    leaking, monkeypatch
+):
+    batch, null = leaking
 
     def never(inquiry, found, *_, **__):
         converged = "gas_loss" not in found.prior.names
@@ -69,9 +76,10 @@ def test_that_a_fit_that_does_not_converge_is_left_out_and_the_next_one_leads(mo
     assert sum(found.posterior.values()) == pytest.approx(1.0)
 
 
-def test_that_an_effect_found_beside_a_wrong_one_is_taken_alone_if_it_explains_more():
-    batch = shoot({"gas_loss": 0.2})
-    null = fit(batch)
+def test_that_an_effect_found_beside_a_wrong_one_is_taken_alone_if_it_explains_more(
+    leaking,
+):
+    batch, null = leaking
     wrong = LIBRARY["wall"]
     right = LIBRARY["gas_loss"]
     first = attribute(

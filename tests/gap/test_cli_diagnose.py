@@ -49,6 +49,13 @@ def matched(tmp_path_factory):
     return path
 
 
+@pytest.fixture
+def arrays(matched):
+    """What that set holds."""
+    with np.load(matched) as document:
+        return dict(document)
+
+
 @pytest.fixture(scope="module")
 def single(matched, tmp_path_factory):
     """The first repeat of each design as a file of curves, with one negative radius and one frame far off its neighbours."""
@@ -93,10 +100,8 @@ def test_that_single_curves_are_judged_by_the_noise_of_their_frames(
 
 
 def test_that_missing_frames_and_missing_repeats_are_left_out_and_no_others(
-    matched, tmp_path
+    arrays, tmp_path
 ):
-    with np.load(matched) as document:
-        arrays = dict(document)
     arrays["radius_m"][0, 1] = np.nan  # a repeat that was not shot
     arrays["radius_m"][0, 2, 5:7] = np.nan
     arrays["radius_m"][1, :, 50:] = np.nan  # a shorter film
@@ -107,9 +112,7 @@ def test_that_missing_frames_and_missing_repeats_are_left_out_and_no_others(
     assert (second.radius.shape, second.has_gaps) == ((5, 50), False)
 
 
-def test_that_noise_may_make_a_collapsed_radius_negative(matched, tmp_path):
-    with np.load(matched) as document:
-        arrays = dict(document)
+def test_that_noise_may_make_a_collapsed_radius_negative(arrays, tmp_path):
     arrays["radius_m"][0, 2, 20] = -0.05 * arrays["radius_m"].max()
     np.savez(tmp_path / "noisy.npz", **arrays)
     assert float(load_set(tmp_path / "noisy.npz")[0].radius[2, 20]) < 0.0
@@ -146,10 +149,8 @@ def test_that_matched_data_give_silence_in_words_json_and_html(matched, tmp_path
     ("options", "words"), [((), False), (("--noise", "estimated"), True)]
 )
 def test_that_a_set_has_the_published_noise_however_few_its_repeats(
-    options, words, matched, tmp_path, said_by
+    options, words, arrays, tmp_path, said_by
 ):
-    with np.load(matched) as document:
-        arrays = dict(document)
     np.savez(tmp_path / "one.npz", **arrays | {"radius_m": arrays["radius_m"][:, :1]})
     assert (
         "x the published law"

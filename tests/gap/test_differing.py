@@ -8,10 +8,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from imr_torch import PolytropicSimulator
 from imr_torch.assimilate import Point, Posterior, SearchOptions
 from imr_torch.float64 import ones, tensor, zeros
-from imr_torch.gap import diagnose, library
 from imr_torch.gap.fits import (
     finish,
     fit_alone,
@@ -31,13 +29,13 @@ from imr_torch.material import LIBRARY, PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, SimulatedLaboratory
 from imr_torch.population import GaussianShots, coordinate_units
 from imr_torch.population.closed_form import without_prior
-from tests.gap.synthetic import BASE
+from tests.gap.synthetic import BASE, SIMULATOR, diagnose_offered
 from tests.refusals import refused
 
-SIMULATOR = PolytropicSimulator(threads=1)
 STIFF = {"G": 11e3, "mu": 0.09}
 SOFT = {"G": 6e3, "mu": 0.09}
 DIFFER = Hypothesis(BASE).differing()
+RIVALS = ["gas_loss", "surface_tension"]
 
 
 def shot(number: int, gel: dict[str, float]) -> Experiment:
@@ -93,7 +91,7 @@ def gaussian_shots(fits, evidence: list[float]) -> GaussianShots:
 
 
 def test_that_the_evidence_of_gels_that_differ_is_that_of_the_closed_form(
-    gels, null, alone, apart
+    null, alone, apart
 ):
     """The closed form has the Gaussian of each curve by itself, integrated over gel and population;
     both are of first order.
@@ -146,8 +144,7 @@ def test_that_a_start_from_single_curves_sees_what_they_see_and_keeps_the_effect
 
 def test_that_gels_that_differ_are_named_and_nothing_is_left(gels):
     """No effect of one gel explains two."""
-    effects = library(["gas_loss", "surface_tension"])
-    report = diagnose(list(gels.experiments), effects=effects, simulator=SIMULATOR)
+    report = diagnose_offered(gels.experiments, RIVALS)
     assert (report.verdict, report.cause) == ("effect", ("gel_scatter",))
     assert report.adequacy_p > 0.05
     assert report.converged
@@ -155,9 +152,7 @@ def test_that_gels_that_differ_are_named_and_nothing_is_left(gels):
 
 def test_that_an_effect_of_one_gel_is_not_taken_for_differences_between_shots():
     shots = [shot(number, {"G": 8e3, "mu": 0.09, "gas_loss": 0.5}) for number in range(3)]
-    report = diagnose(
-        shots, effects=library(["gas_loss", "surface_tension"]), simulator=SIMULATOR
-    )
+    report = diagnose_offered(shots, RIVALS)
     assert (report.verdict, report.cause) == ("effect", ("gas_loss",))
 
 
@@ -167,9 +162,7 @@ def test_that_an_effect_is_named_beside_gels_that_differ():
         shot(number, {"G": stiff, "mu": 0.09, "gas_loss": 0.5})
         for number, stiff in enumerate(stiffness)
     ]
-    report = diagnose(
-        shots, effects=library(["gas_loss", "surface_tension"]), simulator=SIMULATOR
-    )
+    report = diagnose_offered(shots, RIVALS)
     assert report.verdict == "effect"
     assert set(report.cause) == {"gas_loss", "gel_scatter"}
     found = gels_of(report.selected_fit, report.selected)["G"]

@@ -15,16 +15,15 @@ from matplotlib.image import imread
 
 from imr_torch.errors import ConvergenceError
 from imr_torch.float64 import linspace, tensor
-from imr_torch.gap import MediumSensitivity, describe, diagnose, examine, library, to_json
+from imr_torch.gap import MediumSensitivity, describe, examine, to_json
 from imr_torch.gap.document import _fill_template, sections, title
 from imr_torch.gap.figures import gap_figures, plot_intervals
 from imr_torch.material import LIBRARY, PARAMETERS
 from imr_torch.observe import SimulatedLaboratory
 from imr_torch.results import document_page, draw_figures, write_page
-from imr_torch.simulate import PolytropicSimulator
 from tests.figures import rendering
+from tests.gap.synthetic import SIMULATOR, diagnose_offered
 
-SIMULATOR = PolytropicSimulator(threads=1)
 OFFERED = ("sound_speed", "rinf_bias", "refraction")
 
 
@@ -41,7 +40,7 @@ def shots(effect: dict[str, float], repeats: int, stiffness: tuple[float, ...]):
 
 
 def document_of(experiments, offered=OFFERED) -> dict:
-    report = diagnose(experiments, effects=library(offered), simulator=SIMULATOR)
+    report = diagnose_offered(experiments, offered)
     made = to_json(report, examine(report, SIMULATOR), simulator=SIMULATOR)
     return json.loads(json.dumps(made, allow_nan=False))
 
@@ -493,7 +492,7 @@ def test_that_bubbles_that_cannot_be_simulated_elsewhere_cost_the_next_design_al
     monkeypatch.setattr(module, "identity_design", failing)
     monkeypatch.setattr(module, "_SURE", 1.1)
     experiments = shots({"sound_speed": 0.5}, 10, (8e3, 8e3))
-    report = diagnose(experiments, effects=library(OFFERED), simulator=SIMULATOR)
+    report = diagnose_offered(experiments, OFFERED)
     parts = examine(report, SIMULATOR)
     assert parts.next_design is None
     assert parts.onset is not None

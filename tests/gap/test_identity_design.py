@@ -11,12 +11,7 @@ from tests.refusals import refused
 PLAN = Plan(times=linspace(0.0, 2.0, 31))
 
 
-@pytest.fixture(scope="module")
-def fits():
-    return fit_alike(repeats=1)
-
-
-def test_that_a_cause_of_the_measurement_is_told_apart_too(fits):
+def test_that_a_cause_of_the_measurement_is_told_apart_too():
     """A clock that is late changes what the camera sees and not the bubble."""
     batch = shoot({}, DESIGNS[:1], repeats=5)
     null = fit(batch)
@@ -35,8 +30,8 @@ def test_that_a_cause_of_the_measurement_is_told_apart_too(fits):
     assert gain.parameters == 0.0
 
 
-def test_that_causes_of_one_family_and_improbable_ones_are_not_compared(fits):
-    one = fits["damage"]
+def test_that_causes_of_one_family_and_improbable_ones_are_not_compared():
+    one = fit_alike(repeats=1)["damage"]
     every = dict.fromkeys(
         ("none", "residual_velocity", "trigger_offset", "damage", "wall"), one
     )

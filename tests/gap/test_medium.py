@@ -2,6 +2,8 @@
 nothing changes.
 """
 
+import math
+
 import pytest
 import torch
 
@@ -14,21 +16,19 @@ from imr_torch.material import PARAMETERS
 from imr_torch.observe import (
     ExperimentBatch,
     GelMedium,
-    Nuisance,
     SimulatedLaboratory,
     Statement,
     gel_medium,
 )
 from imr_torch.simulate.setting import OF_MEDIUM
+from tests.gap.synthetic import SIMULATOR, UNSURE
 
-SIMULATOR = PolytropicSimulator()
 OPTIONS = SearchOptions(raw_samples=24, starts=2)
 
 
 def batch(repeats: int) -> ExperimentBatch:
-    nuisance = Nuisance(max_radius=0.003, time_zero=0.004, rest_radius=0.01)
     laboratory = SimulatedLaboratory(
-        SIMULATOR, PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=repeats, nuisance=nuisance,
+        SIMULATOR, PARAMETERS.pack({"G": 8310.0, "mu": 0.093}), repeats=repeats, nuisance=UNSURE,
         times=linspace(0.0, 2.5, 51),
     )  # fmt: skip
     designs = tensor([[400.0, 0.22], [250.0, 0.17]])
@@ -43,6 +43,12 @@ def fit_of(data: ExperimentBatch, prior=None) -> ModelFit:
     ).fits[0]
 
 
+def list_found(data: ExperimentBatch, fit: ModelFit, medium: GelMedium | None = None):
+    """Name -> what is said of that value of the medium."""
+    found = medium_sensitivities(fit, data, SIMULATOR, medium or GelMedium())
+    return {x.name: x for x in found}
+
+
 @pytest.fixture(scope="module")
 def many():
     data = batch(30)
@@ -53,16 +59,10 @@ def many():
 def test_that_the_shift_is_that_of_a_refit(many, field):
     """The medium is moved a fifth of the deviation, so that the refit stays linear."""
     data, fit = many
-    (found,) = [
-        x
-        for x in medium_sensitivities(fit, data, SIMULATOR, GelMedium())
-        if x.name == field
-    ]
+    found = list_found(data, fit)[field]
     entry = PARAMETERS[OF_MEDIUM[field]]
     share = 0.2
-    moved = _held(
-        fit, entry.name, share * float(torch.tensor(DEVIATIONS[field]).log()), data
-    )
+    moved = _held(entry.name, share * math.log(DEVIATIONS[field]), data)
     shift = (moved.mean - fit.mean) / torch.linalg.norm(fit.chol, dim=1)
     for name, sigma in found.sigmas.items():
         assert share * sigma == pytest.approx(
@@ -76,7 +76,7 @@ def test_that_the_shift_is_that_of_a_refit(many, field):
         )
 
 
-def _held(fit: ModelFit, name: str, value: float, data: ExperimentBatch) -> ModelFit:
+def _held(name: str, value: float, data: ExperimentBatch) -> ModelFit:
     """The fit in a medium whose parameter has a value: simulated with it in every bubble."""
 
     class Moved(PolytropicSimulator):
@@ -98,30 +98,17 @@ def _held(fit: ModelFit, name: str, value: float, data: ExperimentBatch) -> Mode
 def test_that_what_is_stated_or_inferred_is_not_listed_and_what_does_not_matter_neither(
     many,
 ):
-    data, fit = many
-    listed = [x.name for x in medium_sensitivities(fit, data, SIMULATOR, GelMedium())]
-    assert {"density", "far_field_pressure"} <= set(listed)
+    given = {"density", "far_field_pressure"}
+    listed = list_found(*many).keys()
+    assert given <= listed
     stated = gel_medium(Statement.from_text("density=1060,pressure=101325"))
-    assert {x.name for x in medium_sensitivities(fit, data, SIMULATOR, stated)} == set(
-        listed
-    ) - {
-        "density",
-        "far_field_pressure",
-    }
+    assert list_found(*many, stated).keys() == listed - given
     few = batch(1)
-    loose = fit_of(few)
-    assert "surface_tension" not in [
-        x.name for x in medium_sensitivities(loose, few, SIMULATOR, GelMedium())
-    ]
+    assert "surface_tension" not in list_found(few, fit_of(few))
 
 
 def test_that_the_sentence_names_value_deviation_and_shift(many):
-    data, fit = many
-    (found,) = [
-        x
-        for x in medium_sensitivities(fit, data, SIMULATOR, GelMedium())
-        if x.name == "density"
-    ]
+    found = list_found(*many)["density"]
     assert found.sentence().startswith(
         "density was assumed 1060 kg/m^3; 3 % more would change G by "
     )

@@ -6,7 +6,6 @@ import pytest
 import torch
 
 from imr_torch.float64 import eye, tensor
-from imr_torch.gap import diagnose, library
 from imr_torch.gap.hypotheses import overdispersion
 from imr_torch.gap.model_error import (
     FOUND,
@@ -17,7 +16,7 @@ from imr_torch.gap.model_error import (
 )
 from imr_torch.material import LIBRARY
 from imr_torch.random import generator
-from tests.gap.synthetic import BASE, DESIGNS, GEL, SIMULATOR, fit, shoot
+from tests.gap.synthetic import BASE, DESIGNS, GEL, diagnose_offered, fit, shoot
 
 OFFERED = ["gas_loss", "wall", "sound_speed", "clock", "strain_stiffening"]
 
@@ -25,7 +24,7 @@ OFFERED = ["gas_loss", "wall", "sound_speed", "clock", "strain_stiffening"]
 @pytest.fixture(scope="module")
 def matched():
     shots = shoot({}, DESIGNS, repeats=3, end=2.4).experiments
-    return diagnose(shots, effects=library(OFFERED), simulator=SIMULATOR)
+    return diagnose_offered(shots, OFFERED)
 
 
 def test_that_the_budget_is_that_of_generalised_least_squares(matched):
@@ -68,10 +67,8 @@ def test_that_they_hold_truths_whose_effect_is_withheld_more_often_than_those_of
     right = 0
     for seed, (name, size) in enumerate([*usual.items(), *usual.items()]):
         shots = shoot({name: size}, DESIGNS, repeats=3, end=2.4, seed=10 + seed)
-        effects = library([other for other in OFFERED if other != name])
-        report = diagnose(
-            shots.experiments, effects=effects, simulator=SIMULATOR, seed=seed
-        )
+        others = [other for other in OFFERED if other != name]
+        report = diagnose_offered(shots.experiments, others, seed=seed)
         found = model_error(report)
         low, _, high = report.null.posterior.quantile(levels)
         for i, parameter in enumerate(BASE.names):
@@ -85,8 +82,7 @@ def test_that_they_hold_truths_whose_effect_is_withheld_more_often_than_those_of
 def test_that_half_of_an_unknown_are_the_gels_beside_effects_that_come_near():
     """In proportion to a likelihood of twenty independent values, and with the misfit as noise."""
     shots = shoot({"alpha": 0.4}, DESIGNS, repeats=3, end=2.4, seed=3)
-    effects = library([name for name in OFFERED if name != "strain_stiffening"])
-    report = diagnose(shots.experiments, effects=effects, simulator=SIMULATOR, seed=3)
+    report = diagnose_offered(shots.experiments, OFFERED[:-1], seed=3)
     assert report.found
     drawn = {id(known): moved for known, moved in _with_known(report, 20000, generator(0))}
     fits = [known for step in report.steps for known in step.fits.values()]
@@ -112,10 +108,7 @@ def test_that_an_effect_of_the_size_that_is_said_is_found_as_often_as_is_said(ma
     found = 0
     for seed in range(12):
         shots = shoot({"gas_loss": row.size}, DESIGNS, repeats=3, end=2.4, seed=50 + seed)
-        effects = library(["gas_loss"])
-        report = diagnose(
-            shots.experiments, effects=effects, simulator=SIMULATOR, seed=seed
-        )
+        report = diagnose_offered(shots.experiments, ["gas_loss"], seed=seed)
         found += report.gap.found
     assert found >= 8
     assert FOUND == 0.9

@@ -11,7 +11,6 @@ from scipy.optimize import minimize
 
 from imr_torch.assimilate import Point, Posterior
 from imr_torch.float64 import arange, linspace, rand, randn, tensor, zeros
-from imr_torch.gap import diagnose, library
 from imr_torch.gap.held_out import HeldOut, Judged, default_folds, held_out, judge_designs
 from imr_torch.gap.hypotheses import Hypothesis
 from imr_torch.gap.shrinkage import (
@@ -21,14 +20,14 @@ from imr_torch.gap.shrinkage import (
 )
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, Nuisance
 from imr_torch.random import generator
-from tests.gap.synthetic import BASE, DESIGNS, SIMULATOR, fit, shoot
+from tests.gap.synthetic import BASE, DESIGNS, SIMULATOR, diagnose_offered, fit, shoot
 
 RIVALS = ["wall", "sound_speed"]
 
 
 def diagnose_loss(offered):
     shots = shoot({"gas_loss": 0.3}, DESIGNS, repeats=10, end=2.4).experiments
-    return diagnose(shots, effects=library(offered), simulator=SIMULATOR)
+    return diagnose_offered(shots, offered)
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +82,7 @@ def test_that_the_curve_that_judges_has_no_say_in_what_is_selected():
     quiet = shoot({}, DESIGNS[:2], repeats=10, end=2.4).experiments
     (loud,) = shoot({"gas_loss": 0.6}, DESIGNS[2:], repeats=10, end=2.4).experiments
     shots = (*quiet, replace(loud, label="loud"))
-    report = diagnose(shots, effects=library(["gas_loss", *RIVALS]), simulator=SIMULATOR)
+    report = diagnose_offered(shots, ["gas_loss", *RIVALS])
     judged = judge_designs(report, SIMULATOR, seed=0)
     held = {
         pair.base.line.batch.experiments[0].label: pair.effect.hypothesis for pair in judged

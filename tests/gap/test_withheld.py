@@ -6,8 +6,7 @@ import re
 
 import pytest
 
-from imr_torch.gap import diagnose, library
-from tests.gap.synthetic import DESIGNS, SIMULATOR, shoot
+from tests.gap.synthetic import DESIGNS, diagnose_offered, shoot
 
 TRUTH = "gas_loss"
 RIVALS = ["wall", "refraction"]
@@ -19,22 +18,19 @@ def experiments():
 
 
 def test_that_an_effect_is_named_where_it_is_offered(experiments):
-    report = diagnose(
-        experiments, effects=library([TRUTH, *RIVALS]), simulator=SIMULATOR, seed=1
-    )
+    report = diagnose_offered(experiments, [TRUTH, *RIVALS], seed=1)
     assert (report.verdict, report.cause) == ("effect", (TRUTH,))
     assert report.converged
 
 
 def test_that_it_is_other_where_it_was_withheld(experiments):
-    report = diagnose(experiments, effects=library(RIVALS), simulator=SIMULATOR, seed=1)
+    report = diagnose_offered(experiments, RIVALS, seed=1)
     assert (report.verdict, report.cause) == ("other", ())
     said = re.fullmatch(
         r"No effect of the library is enough; nearest comes (.+) \((\d+) nats; the misfit in R\* goes from (.+) to (.+); "
         r"adequacy p ([=<]) (.+)\)\.",
         report.reason,
     )
-    assert said is not None
     assert set(said[1].split(" and ")) <= set(RIVALS)
     assert float(said[2]) > 3.0
     assert float(said[4]) < float(said[3]) == round(report.gap.bias_radius, 4)

@@ -9,17 +9,15 @@ import pytest
 import torch
 
 from imr_torch.float64 import randn, tensor
-from imr_torch.gap import GapReport, diagnose, library, to_json
+from imr_torch.gap import GapReport, to_json
 from imr_torch.gap.hypotheses import EXPLAINS
 from imr_torch.gap.shrinkage import shrinkage
 from imr_torch.gap.within_misfit import weigh_beside_slow
 from imr_torch.material import intervals
 from imr_torch.observe import Experiment, Noise
 from imr_torch.random import generator
-from imr_torch.simulate import PolytropicSimulator
-from tests.gap.synthetic import BASE, DESIGNS, GEL, shoot
+from tests.gap.synthetic import BASE, DESIGNS, GEL, SIMULATOR, diagnose_offered, shoot
 
-SIMULATOR = PolytropicSimulator(threads=1)
 OFFERED = ("stress_relaxation", "edge_error", "clock")
 LAW = Noise(scale=0.3)
 STRONG = {"tau": 8e-6}
@@ -42,17 +40,12 @@ def single_curves(effect: dict[str, float], deviation: float) -> list[Experiment
 
 
 def diagnosed(effect: dict[str, float], deviation: float) -> GapReport:
-    return diagnose(
-        single_curves(effect, deviation),
-        base=BASE,
-        effects=library(OFFERED),
-        estimate_noise=True,
-        simulator=SIMULATOR,
+    return diagnose_offered(
+        single_curves(effect, deviation), OFFERED, base=BASE, estimate_noise=True
     )
 
 
 def explained(report: GapReport) -> dict[str, float]:
-    assert report.within_misfit is not None
     return weigh_beside_slow(report.within_misfit.steps[:1], report.batch, SIMULATOR)[1]
 
 
@@ -91,8 +84,6 @@ def test_that_it_is_selected_and_not_named_beside_slow_deviations(beside):
 
 def test_that_it_predicts_curves_that_were_left_out_and_gives_the_gel_back(beside):
     found = shrinkage(beside, SIMULATOR)
-    assert found is not None
-    assert found.share is not None
     assert found.share[0] > max(0.5, found.placebo_high)
     shifts = to_json(beside)["parameter_shift"]
     for name, truth in GEL.items():

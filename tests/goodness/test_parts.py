@@ -49,11 +49,13 @@ def fit_curve(
     )
     shot = Experiment("shot 1", DESIGN, TIMES, seen[None]).until(last)
     batch = ExperimentBatch((shot,), NOISE)
+    return fit_batch(batch), batch
+
+
+def fit_batch(batch: ExperimentBatch) -> ModelFit:
     options = SearchOptions(raw_samples=16, starts=2)
     prior = wide_prior(["nhkv"])
-    return assimilate(prior, batch, SIMULATOR, seed=0, options=options, warn=False)[
-        "nhkv"
-    ], batch
+    return assimilate(prior, batch, SIMULATOR, seed=0, options=options, warn=False).fits[0]
 
 
 @cache
@@ -112,11 +114,7 @@ def test_that_frames_that_tell_are_counted():
     more = ExperimentBatch(
         (Experiment("shot 1", DESIGN, dense, radius.reshape(1, -1)),), NOISE
     )
-    options = SearchOptions(raw_samples=16, starts=2)
-    again = assimilate(wide_prior(["nhkv"]), more, SIMULATOR, seed=0, options=options)[
-        "nhkv"
-    ]
-    many = compare_parts(again, more, SIMULATOR).telling["shot 1"]
+    many = compare_parts(fit_batch(more), more, SIMULATOR).telling["shot 1"]
     for name in GEL:
         assert 1.5 < many[name][0] / told[name][0] < 8.0
 

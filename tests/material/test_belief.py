@@ -253,7 +253,6 @@ EYE = eye(2)
 
 
 test_that_bad_input_is_named = refusals(
-    (lambda: Belief.prior({"hooke": {}}), r"Unknown model 'hooke'"),
     (
         lambda: Belief.prior({"nhkv": {"G": NHKV[0]}}),
         r"needs a prior of each of \('G', 'mu'\); got \('G',\)",

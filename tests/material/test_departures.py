@@ -86,43 +86,29 @@ def test_that_damage_takes_its_share_of_the_elastic_stress(lost):
     )
 
 
-def test_that_damage_grows_with_the_path_in_either_direction_and_ends_at_all():
-    """``D = 1 - exp(-k int |dR/R|)``: at a speed far above the rounding, ``D' = k (1 - D) |U|/R``."""
-    theta = tensors(GEL | {"damage": 0.3})
-    for velocity, held, expected in (
-        (-50.0, 0.0, 25.0),
-        (50.0, 0.0, 25.0),
-        (50.0, 0.5, 12.5),
-        (50.0, 1.0, 0.0),
-        (0.0, 0.2, 0.0),
-    ):
-        rate = memory_rate(
-            [DAMAGE],
-            *scalars(0.6, velocity, REST),
-            theta,
-            tensor([held]),
-        )
-        assert rate == pytest.approx(expected, rel=1e-3, abs=1e-12)
-
-
-def test_that_damage_heals_at_its_rate_where_nothing_moves_and_settles_where_something_does():
-    """``D' = -D/t_h`` at rest; at a constant strain rate ``D`` stands still at ``k e/(k e +
-    1/t_h)``.
+@pytest.mark.parametrize(
+    ("healing", "velocity", "held", "expected"),
+    [
+        (0.0, -50.0, 0.0, 25.0),
+        (0.0, 50.0, 0.0, 25.0),
+        (0.0, 50.0, 0.5, 12.5),
+        (0.0, 50.0, 1.0, 0.0),
+        (0.0, 0.0, 0.2, 0.0),
+        (2.0, 0.0, 0.5, -1.0),
+        (2.0, 50.0, 25.0 / 27.0, 0.0),
+        (2.0, 50.0, 0.0, 25.0),
+    ],
+)
+def test_that_damage_grows_with_the_path_in_either_direction_to_all_or_heals_and_settles(
+    healing, velocity, held, expected
+):
+    """``D = 1 - exp(-k int |dR/R|)``: at a speed far above the rounding, ``D' = k (1 - D) |U|/R``; and
+    ``- D/t_h``, so that at a constant strain rate ``D`` stands still at ``k e/(k e + 1/t_h)``.
     """
-    theta = tensors(GEL | {"damage": 0.3, "healing": 2.0})
-    for velocity, held, expected in (
-        (0.0, 0.5, -1.0),
-        (50.0, 25.0 / 27.0, 0.0),
-        (50.0, 0.0, 25.0),
-    ):
-        rate = memory_rate(
-            [DAMAGE],
-            *scalars(0.6, velocity, REST),
-            theta,
-            tensor([held]),
-        )
-        assert rate == pytest.approx(expected, rel=1e-3, abs=1e-3)
-    assert DAMAGE.relaxation_rate(theta) == 2.0
+    theta = tensors(GEL | {"damage": 0.3, "healing": healing})
+    rate = memory_rate([DAMAGE], *scalars(0.6, velocity, REST), theta, tensor([held]))
+    assert rate == pytest.approx(expected, rel=1e-3, abs=1e-3 if healing else 1e-12)
+    assert DAMAGE.relaxation_rate(theta) == healing
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.4, 1.0])

@@ -5,6 +5,7 @@ differential equation, and the stress integral is their sum. The toolkit carries
 instead.
 """
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -30,6 +31,11 @@ NODES, WEIGHTS = (np.asarray(x) for x in np.polynomial.legendre.leggauss(60))
 X, W = 0.5 * (1.0 + NODES), 0.5 * WEIGHTS  # (R/r)^3 in (0, 1]
 LAST = 1.7
 WITH_MEMORY = {key: model for key, model in MATERIALS.items() if has_memory(model)}
+
+
+RELAXATIONS = pytest.mark.parametrize(
+    ("tau", "retardation"), itertools.product((0.05, 0.5, 5.0), (0.0, 0.3))
+)
 
 
 def collapse(t: float) -> tuple[float, float, float]:
@@ -84,8 +90,7 @@ def shells(rate, count: int, rtol: float = 1e-10) -> np.ndarray:
     return solution.y[:, -1].reshape(count, -1)
 
 
-@pytest.mark.parametrize("retardation", [0.0, 0.3])
-@pytest.mark.parametrize("tau", [0.05, 0.5, 5.0])
+@RELAXATIONS
 def test_that_the_maxwell_branch_is_the_linear_maxwell_law_at_every_point_of_the_gel(
     tau, retardation
 ):
@@ -136,8 +141,7 @@ def convect(tau: float, mu: float, retardation: float, more) -> float:
     )
 
 
-@pytest.mark.parametrize("retardation", [0.0, 0.3])
-@pytest.mark.parametrize("tau", [0.05, 0.5, 5.0])
+@RELAXATIONS
 def test_that_two_states_carry_the_upper_convected_law_of_every_shell(tau, retardation):
     values = {"mu": 0.05, "tau_ucm": tau, "retardation": retardation}
     expected = convect(tau, 0.05, retardation, lambda stress, trace: 0.0)

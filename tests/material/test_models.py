@@ -38,6 +38,7 @@ from tests.refusals import refusals, refused
 from tests.tables import for_each
 
 MODELS = for_each("model", MATERIALS)
+POINT = [tensor(x) for x in (0.4, -1.0, REST)]
 ENTRIES = ("value", "rate", "acceleration")
 
 
@@ -126,30 +127,28 @@ def test_that_a_model_inside_the_full_set_of_terms_is_the_model_alone(
 
 @pytest.mark.parametrize("term", TERMS, ids=lambda term: term.name)
 def test_that_a_term_is_switched_off_by_its_switch_alone(term):
-    point = [tensor(x) for x in (0.4, -1.0, REST)]
     states = (memory_of([term]),) if term.states else ()
     assert term.switch in term.names
     on = tensors(values_for(term))
     off = tensors(values_for(term) | {term.switch: PARAMETERS[term.switch].neutral})
-    assert stress_of_term(term, *point, on, *states).value != 0.0
+    assert stress_of_term(term, *POINT, on, *states).value != 0.0
     if term.states:  # a member without it starts without memory, which then stays away
         still = 0.0 * states[0]
-        assert stress_of_term(term, *point, off, still).value == 0.0
-        assert memory_rate([term], *point, off, still).abs().sum() == 0.0
-        assert term.memory_start(point[2][None], off).abs().sum() == 0.0
+        assert stress_of_term(term, *POINT, off, still).value == 0.0
+        assert memory_rate([term], *POINT, off, still).abs().sum() == 0.0
+        assert term.memory_start(POINT[2][None], off).abs().sum() == 0.0
     else:
-        assert stress_of_term(term, *point, off).value == 0.0
+        assert stress_of_term(term, *POINT, off).value == 0.0
 
 
 @MODELS
 def test_that_names_are_those_that_stress_and_memory_depend_on(model):
-    point = [tensor(x) for x in (0.4, -1.0, REST)]
 
     def response(values: dict[str, float]) -> list[float]:
         memory = memory_of(model.terms)
         theta = tensors(values)
-        stress = stress_of(model, *point, theta, memory)
-        rates = memory_rate(model.terms, *point, theta, memory).tolist()
+        stress = stress_of(model, *POINT, theta, memory)
+        rates = memory_rate(model.terms, *POINT, theta, memory).tolist()
         return [float(getattr(stress, name)) for name in ENTRIES] + rates
 
     of_others = dict.fromkeys((name for term in model.terms for name in term.beside), 0.0)
@@ -190,9 +189,8 @@ def test_that_a_term_is_registered_once():
 
 
 def test_that_memory_left_out_is_named():
-    point = [tensor(x) for x in (0.4, -1.0, REST)]
     with refused(r"maxwell has memory; its states must be given"):
-        stress_of(material("zener"), *point, tensors(VALUES))
+        stress_of(material("zener"), *POINT, tensors(VALUES))
 
 
 def reads_unknown(radius, velocity, rest_radius, G, unheard_of):

@@ -8,8 +8,7 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from imr_torch import PolytropicSimulator, characterize, load_traces, wide_prior
-from imr_torch.assimilate import SearchOptions
+from imr_torch import PolytropicSimulator, load_traces
 from imr_torch.campaign import Journal
 from imr_torch.float64 import arange, linspace, ones, randn, tensor
 from imr_torch.material import PARAMETERS
@@ -24,6 +23,7 @@ from imr_torch.observe import (
 from imr_torch.random import generator
 from imr_torch.reading.traces import Given
 from imr_torch.units import Surroundings
+from tests.filmed import characterize_quickly
 from tests.refusals import refused
 
 SIMULATOR = PolytropicSimulator()
@@ -93,15 +93,7 @@ def test_that_a_stated_exposure_brings_the_fit_to_the_truth():
     noise = 0.001 * randn(len(TIMES), generator=generator(0))
     radius = blurred(exposure) + noise
     for stated in (None, exposure * SCALE):
-        result = characterize(
-            traces(stated, radius),
-            prior=wide_prior(["nhkv"]),
-            simulator=SIMULATOR,
-            rest_radius=(0.2, 0.002),
-            options=SearchOptions(raw_samples=16, starts=2),
-            check=False,
-            medium="density=1060",
-        )
+        result = characterize_quickly(traces(stated, radius), check=False)
         found[stated] = result.assimilation.rmse("nhkv")
     assert found[exposure * SCALE] < 0.0013
     assert found[None] > 1.5 * found[exposure * SCALE]

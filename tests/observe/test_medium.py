@@ -11,18 +11,16 @@ import torch
 from imr_torch import (
     Characterization,
     PolytropicSimulator,
-    characterize,
     load_traces,
     wide_prior,
 )
-from imr_torch.assimilate import SearchOptions
 from imr_torch.characterization import medium_of
 from imr_torch.float64 import linspace
 from imr_torch.material.media import water_density, water_surface_tension
 from imr_torch.observe import RadiusTrace, Statement, TraceSet, gel_medium
 from imr_torch.random import generator
 from imr_torch.units import Surroundings
-from tests.filmed import film
+from tests.filmed import characterize_quickly, film
 from tests.refusals import refused
 
 
@@ -165,14 +163,7 @@ def shots(**gel: float) -> TraceSet:
 
 
 def fitted(curves: TraceSet, medium: str, model: str = "nhkv") -> Characterization:
-    return characterize(
-        curves,
-        prior=wide_prior([model]),
-        simulator=PolytropicSimulator(),
-        rest_radius=(0.18, 0.03),
-        options=SearchOptions(raw_samples=24, starts=2),
-        medium=medium,
-    )
+    return characterize_quickly(curves, model, medium=medium, rest_radius=(0.18, 0.03))
 
 
 def test_that_a_density_with_a_standard_deviation_is_inferred_and_widens_the_gel():

@@ -9,9 +9,8 @@ import torch
 
 from imr_torch import example_gel
 from imr_torch.errors import ImrError
-from imr_torch.float64 import linspace, tensor
+from imr_torch.float64 import linspace
 from imr_torch.gap import load_set
-from imr_torch.material import PARAMETERS
 from imr_torch.observe import (
     Experiment,
     Given,
@@ -21,8 +20,9 @@ from imr_torch.observe import (
     load_traces,
     prepare,
 )
-from imr_torch.simulate import PolytropicSimulator
+from imr_torch.random import generator
 from imr_torch.units import Surroundings
+from tests.filmed import film
 from tests.refusals import refused
 
 SIZE = 300e-6
@@ -35,11 +35,9 @@ EXAMPLE = example_gel()
 def curve(**gel: float) -> tuple[torch.Tensor, torch.Tensor]:
     """Times in s and radii in m of a bubble in a soft gel."""
     times = linspace(0.0, 3.0, 151)
-    design = tensor([OUTER.weber(SIZE), REST[0]])
-    bubble = PolytropicSimulator()(
-        PARAMETERS.pack({"G": 5e3, "mu": 0.1} | gel), design, times
-    )
-    return times * SCALE, bubble.radius * SIZE
+    values = {"G": 5e3, "mu": 0.1} | gel
+    trace = film(values, SIZE, REST[0], times, generator(0), noise=0.0)
+    return trace.time_s, trace.radius_m
 
 
 def prepared(

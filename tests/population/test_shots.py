@@ -8,7 +8,6 @@ import pytest
 
 from imr_torch import PolytropicSimulator, wide_prior
 from imr_torch.assimilate import (
-    FrameNoisePrior,
     Posterior,
     SearchOptions,
     assimilate,
@@ -19,6 +18,7 @@ from imr_torch.material import PARAMETERS, Belief
 from imr_torch.observe import ExperimentBatch, SimulatedLaboratory
 from imr_torch.population import fit_shots
 from tests.drifting import PART, SLOW, assert_that_only_widened_hold, drifting, hold
+from tests.fewer import FEW
 from tests.linear import NOISE
 
 OPTIONS = SearchOptions(raw_samples=8, starts=2)
@@ -27,9 +27,6 @@ BELIEF = Belief((PART,), zeros(1))
 
 def test_that_one_law_of_a_misfit_for_shots_of_different_gels_states_intervals_that_hold():
     inside: dict[str, list[bool]] = {"independent": [], "widened": []}
-    few = FrameNoisePrior(
-        NOISE, amounts=(1.0, 4.0, 16.0), durations=(0.3,), jitters=(0.15,)
-    )
     for seed in range(20):
         batch, gels = drifting(seed, alone=True)
         shots = [ExperimentBatch((shot,), NOISE) for shot in batch.experiments]
@@ -41,7 +38,7 @@ def test_that_one_law_of_a_misfit_for_shots_of_different_gels_states_intervals_t
             Posterior(PART, shot, SLOW).neighbourhood(fit.point)
             for shot, fit in zip(shots, fits, strict=True)
         ]
-        law = infer_frame_noise(near, few).for_fits(widen=True).law
+        law = infer_frame_noise(near, FEW(NOISE)).for_fits(widen=True).law
         assert law.correlation_time == 0.0
         for kind, scale in (
             ("independent", law.scale / law.widened),

@@ -258,17 +258,9 @@ def test_that_a_sampled_sound_field_moves_a_bubble_as_its_formula_does(tmp_path)
     times = [1e-7 * i for i in range(-20, 2000)]
     rows = [f"{1e6 * t:.9g},{20.0 * math.sin(2.0 * math.pi * 30e3 * t):.9g}" for t in times]
     path = written(tmp_path / "p.csv", "\n".join(["t (us),p (kPa)", *rows]))
-    command = [
-        "simulate",
-        "--physics",
-        "polytropic",
-        "--set",
-        "G=8310,mu=0.093",
-        "--until",
-        "2",
-    ]
-    command += f"--driving {path} --json {tmp_path}/bubble.json".split()
-    assert main(command) == 0
+    command = "simulate --physics polytropic --set G=8310,mu=0.093 --until 2"
+    files = f"--driving {path} --json {tmp_path}/bubble.json"
+    assert main([*command.split(), *files.split()]) == 0
     found = read_json(tmp_path / "bubble.json")
     grid = tensor(found["t_star"])
     design = tensor([300.0, 0.2])

@@ -87,15 +87,6 @@ def test_that_a_table_of_bubbletrack_has_its_radii_in_micrometres(tmp_path):
     assert "radius from 'Radius_um' in um, time from 'Time_s' in s" in traces.notes[0]
 
 
-def test_that_a_workbook_of_bubbletrack_is_read_alike(tmp_path):
-    openpyxl = pytest.importorskip("openpyxl")
-    book = openpyxl.Workbook()
-    for row in tracker_rows():
-        book.active.append(row)
-    book.save(tmp_path / "gel.xlsx")
-    check(load_traces(tmp_path / "gel.xlsx"), digits=1e-5)
-
-
 def test_that_pixels_and_frames_of_bubbletrack_take_their_scales_from_the_json_beside(
     tmp_path,
 ):
@@ -372,7 +363,6 @@ def test_that_two_half_axes_are_a_radius_and_an_asphericity(tmp_path):
     traces = load_text(tmp_path, "\n".join(["t (us),a (um),b (um)", *rows]))
     check(traces, first=1)
     (trace,) = traces
-    assert trace.asphericity is not None
     assert_close(
         trace.asphericity, torch.as_tensor(stretch[1:] - 1.0), rtol=1e-9, atol=1e-12
     )
@@ -389,7 +379,6 @@ def test_that_lengths_of_fitted_ellipses_take_their_scales_from_the_json_beside(
     traces = load_saved(tmp_path, axes, beside=SCALES)
     check(traces)
     assert traces.left_out[0].count == 2
-    assert traces[0].asphericity is not None
     assert traces[0].asphericity.numpy() == pytest.approx(0.1)
 
 

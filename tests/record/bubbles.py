@@ -4,25 +4,19 @@ Kelvin-Voigt medium, integrated forwards and backwards from the maximum by SciPy
 
 from scipy.integrate import solve_ivp
 
-from imr_torch.simulate.conditions import saturation_pressure
+from imr_torch.simulate import Conditions, PolytropicGas
 from imr_torch.units import Surroundings
+from tests.simulate.si_reference import Reference
 
 LIQUID = Surroundings()
+CONDITIONS = Conditions(LIQUID, PolytropicGas(1.4, "rest"))
 
 
-def wall_pressure(radius, speed, rest, modulus, viscosity, polytropic=1.4):
+def wall_pressure(radius, speed, rest, modulus, viscosity):
     """Less that of the far field, Pa, and its rate."""
-    vapour = saturation_pressure(LIQUID.temperature)
-    at_rest = LIQUID.far_field_pressure + 2 * LIQUID.surface_tension / rest - vapour
-    gas = at_rest * (rest / radius) ** (3 * polytropic)
-    tension = 2 * LIQUID.surface_tension / radius
-    stretch = radius / rest
-    elastic = -modulus / 2 * (5 - 4 / stretch - stretch**-4)
-    viscous = -4 * viscosity * speed / radius
-    pressure = vapour + gas - tension + elastic + viscous - LIQUID.far_field_pressure
-    slope = -3 * polytropic * gas + tension - viscous
-    slope -= modulus / 2 * (4 / stretch + 4 * stretch**-4)
-    return pressure, slope * speed / radius
+    gel = Reference(CONDITIONS, modulus, viscosity)
+    pressure, rate = gel.press_wall(radius, speed, rest, rest)
+    return pressure - LIQUID.far_field_pressure, rate
 
 
 def make_rate(top, rest, modulus, viscosity, near=0.0):

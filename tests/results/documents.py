@@ -2,22 +2,22 @@
 document that a population is.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from imr_torch import PolytropicSimulator, characterize, wide_prior
+from imr_torch import PolytropicSimulator
 from imr_torch.assimilate import SearchOptions
 from imr_torch.characterization import Characterization
-from imr_torch.float64 import arange, linspace, randn, tensor
-from imr_torch.material import PARAMETERS
-from imr_torch.observe import RadiusTrace, TraceSet
+from imr_torch.float64 import arange, linspace, tensor
+from imr_torch.observe import TraceSet
 from imr_torch.random import generator
 from imr_torch.results import header
 from imr_torch.simulate import Conditions
 from imr_torch.units import Surroundings
-from tests.filmed import film
+from tests.filmed import characterize_quickly, film
 
 GEL = {"G": 8310.0, "mu": 0.093}
 LABELS = ("$x_{bad$", "a/b", "a_b", "a b", "<script>alert(1)</script>")
@@ -32,21 +32,11 @@ def traces(
     """
     found = []
     source = generator(3)
+    times = torch.cat((tensor([-0.09, -0.06, -0.03]), linspace(0.0, 3.2, frames)))
     for number, label in enumerate(labels):
         size = 200e-6 + 60e-6 * number
-        times = linspace(0.0, 3.2, frames)
-        design = tensor([Surroundings().weber(size), 0.2])
-        gel = PARAMETERS.pack(GEL | extra)
-        before = tensor([0.03, 0.06, 0.09])
-        radius = torch.cat([SIMULATOR(gel, design, t).radius for t in (before, times)])
-        # growth mirrors the collapse where the bubble is large
-        radius[:3] = radius[:3].flip(0)
-        times = torch.cat((-before.flip(0), times))
-        radius = radius + noise * randn(len(radius), generator=source)
-        time_s = 5e-6 + times * Surroundings().time_scale(size)
-        found.append(
-            RadiusTrace(label, time_s, size * radius.clamp_min(1e-3), "folder/gel.csv")
-        )
+        curve = film(GEL | extra, size, 0.2, times, source, noise=noise, name=label)
+        found.append(replace(curve, time_s=5e-6 + curve.time_s, source="folder/gel.csv"))
     return TraceSet(tuple(found))
 
 
@@ -100,18 +90,11 @@ def population(**changes: Any) -> dict[str, Any]:
     return found | changes
 
 
-def fitted(records: TraceSet, models=("nhkv",)) -> Characterization:
-    return characterize(
-        records,
-        prior=wide_prior(models),
-        simulator=SIMULATOR,
-        rest_radius=(0.2, 0.002),
-        options=SearchOptions(raw_samples=32, starts=3),
-        medium="density=1060",
-        seed=1,
-    )
+def fitted(records: TraceSet) -> Characterization:
+    options = SearchOptions(raw_samples=32, starts=3)
+    return characterize_quickly(records, options=options, seed=1)
 
 
-def documented(records: TraceSet, models=("nhkv",)) -> dict:
-    result = fitted(records, models)
+def documented(records: TraceSet) -> dict:
+    result = fitted(records)
     return header("characterize", medium=Surroundings()) | result.to_document(draws=20)

@@ -1,14 +1,11 @@
-"""What the tests of both simulators share: gels, times, and the equations of a polytropic bubble
-written a second time.
-"""
+"""What the tests of both simulators share: gels, times and drivings."""
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 
 import numpy as np
 import torch
-from scipy.integrate import solve_ivp
 from torch import Tensor
 
 from imr_torch.float64 import linspace, rand
@@ -77,6 +74,10 @@ def gel_of(model: str) -> Tensor:
     return gel(**{name: SI[name] for name in MATERIALS[model].names})
 
 
+EVERY_GEL = torch.stack([gel_of(model) for model in MATERIALS])
+"""One of each registered model."""
+
+
 def draw_bubbles(count: int, seed: int) -> tuple[Tensor, Tensor]:
     """Gels of the paper's prior, ``count x p``, and designs all over its box, ``count x 2``."""
     low, high = tensor([100.0, 0.14], [1000.0, 0.30])
@@ -104,95 +105,3 @@ def sampled(
 
 def sine(amplitude: float, frequency: float, phase: float = 0.0) -> TabulatedDriving:
     return sampled(lambda t: amplitude * np.sin(2.0 * math.pi * frequency * t + phase))
-
-
-@dataclass(frozen=True)
-class Reference:
-    """Keller-Miksis in SI pressures, ``U'`` from ``d/dt`` of every pressure written out; units of
-    the dimensionless design.
-    """
-
-    conditions: Conditions
-    G: float = 0.0
-    mu: float = 0.0
-    alpha: float = 0.0
-    vapour_stiffens: bool = False  # the departure of the other public code: p' = -3 kappa p U/R with the total p
-
-    def right_side(self, weber: float, rest: float) -> Callable:
-        s = self.conditions.surroundings
-        gas = self.conditions.gas
-        p_inf = s.far_field_pressure
-        rho = s.density
-        kappa = gas.exponent
-        r_max = weber * 2.0 * s.surface_tension / p_inf
-        r_inf = rest * r_max
-        p_v = 1.17e11 * math.exp(-5200.0 / s.temperature) if gas.vapour else 0.0
-        p_rest = p_inf + 2.0 * s.surface_tension / r_inf - p_v
-        p_top = (
-            p_rest * rest**3
-            if gas.reference == "maximum"
-            else p_rest * rest ** (3.0 * kappa)
-        )
-        time = r_max * math.sqrt(rho / p_inf)
-
-        def rate(t: float, y: np.ndarray) -> list[float]:
-            radius = y[0] * r_max
-            speed = y[1] * r_max / time
-            l = radius / r_inf  # noqa: E741
-            p_gas = p_top * (r_max / radius) ** (3.0 * kappa)
-            p_gas_dot = (
-                -3.0
-                * kappa
-                * (p_gas + (p_v if self.vapour_stiffens else 0.0))
-                * speed
-                / radius
-            )
-            tension = 2.0 * s.surface_tension / radius
-            tension_dot = -2.0 * s.surface_tension * speed / radius**2
-            excess = 2.0 * l**2 + l**-4 - 3.0
-            # 2 (tau_rr - tau_tt) at the wall
-            wall = 2.0 * self.G * (1.0 + self.alpha * excess) * (l**-4 - l**2)
-            # dS/dt = 2 (tau_rr - tau_tt)|_R (U/R)/(l^3 - 1): the quadrature over the stretch ratio
-            # differentiated at its end
-            limit = -4.0 * self.G
-            slope = wall / (l**3 - 1.0) if abs(l - 1.0) > 1e-9 else limit
-            poly = (
-                177 / 20
-                + 1 / (4 * l**8)
-                + 2 / (5 * l**5)
-                - 3 / (2 * l**4)
-                + 2 / l**2
-                - 6 / l
-                - 4 * l
-            )
-            elastic = -0.5 * self.G * (5.0 - 4.0 / l - l**-4) + self.alpha * self.G * poly
-            elastic_dot = slope * speed / radius
-            viscous = -4.0 * self.mu * speed / radius
-            viscous_known = 4.0 * self.mu * speed**2 / radius**2
-            p = p_gas + p_v - tension + elastic + viscous - p_inf
-            p_dot = p_gas_dot - tension_dot + elastic_dot + viscous_known
-            mach = speed / s.sound_speed
-            right = ((1.0 + mach) * p + radius / s.sound_speed * p_dot) / rho - 1.5 * (
-                1.0 - mach / 3.0
-            ) * speed**2
-            inertia = (1.0 - mach) * radius + 4.0 * self.mu / (rho * s.sound_speed)
-            return [y[1], right / inertia * time**2 / r_max]
-
-        return rate
-
-    def solve(
-        self, weber: float, rest: float, times: np.ndarray, *, rtol: float = 1e-11
-    ) -> np.ndarray:
-        """Radius and velocity, ``2 x n_t``."""
-        span = (0.0, float(times[-1]))
-        solution = solve_ivp(
-            self.right_side(weber, rest),
-            span,
-            [1.0, 0.0],
-            method="DOP853",
-            t_eval=times,
-            rtol=rtol,
-            atol=1e-2 * rtol,
-        )
-        assert solution.success
-        return solution.y

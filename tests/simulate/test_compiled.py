@@ -38,7 +38,16 @@ from imr_torch.simulate.compiled import build
 from imr_torch.simulate.compiled.run import registry_of
 from tests.processes import Processes
 from tests.refusals import refused
-from tests.simulate.bubble import CLOSURES, MOTIONS, gel, gel_of, grid, sine, tensor
+from tests.simulate.bubble import (
+    CLOSURES,
+    EVERY_GEL,
+    MOTIONS,
+    gel,
+    gel_of,
+    grid,
+    sine,
+    tensor,
+)
 from tests.tables import for_each
 
 SAME = 1e-9  # in R*, where both take the same steps; rounding grows at each collapse
@@ -179,9 +188,8 @@ def test_that_all_conditions_are_the_same(kind, conditions):
 
 @SIMULATORS
 def test_that_a_batch_of_all_materials_is_the_same_as_each_alone_bit_for_bit(kind):
-    gels = torch.stack([gel_of(model) for model in MATERIALS])
-    together = kind(threads=1)(gels, DESIGNS[0], TIMES)
-    for member, row in enumerate(gels):
+    together = kind(threads=1)(EVERY_GEL, DESIGNS[0], TIMES)
+    for member, row in enumerate(EVERY_GEL):
         alone = kind(threads=1)(row, DESIGNS[0], TIMES)
         for name in ("radius", "velocity", "bubble_pressure", "status", "steps"):
             assert torch.equal(getattr(alone, name), getattr(together, name)[member])
@@ -189,7 +197,7 @@ def test_that_a_batch_of_all_materials_is_the_same_as_each_alone_bit_for_bit(kin
 
 @SIMULATORS
 def test_that_threads_change_no_bit(kind):
-    gels = torch.stack([gel_of(model) for model in MATERIALS]).repeat(10, 1)
+    gels = EVERY_GEL.repeat(10, 1)
     one, three = (
         kind(threads=threads)(gels, DESIGNS[1], TIMES).radius for threads in (1, 3)
     )

@@ -13,7 +13,7 @@ from torch.testing import assert_close
 
 from imr_torch.errors import InputDataError, ShapeError
 from imr_torch.float64 import linspace, rand
-from imr_torch.material import MATERIALS, PARAMETERS
+from imr_torch.material import PARAMETERS
 from imr_torch.random import generator
 from imr_torch.simulate import (
     Conditions,
@@ -25,7 +25,7 @@ from imr_torch.simulate import (
 )
 from imr_torch.simulate.engines import ENGINES, Engine
 from tests.refusals import refusals
-from tests.simulate.bubble import DESIGN, FINE, GEL, gel, gel_of, grid, tensor
+from tests.simulate.bubble import DESIGN, EVERY_GEL, FINE, GEL, gel, grid, tensor
 
 AT = tensor(*DESIGN)
 BUBBLE = gel(**GEL), AT, grid()
@@ -37,13 +37,12 @@ BOTH = pytest.mark.parametrize("engine", ENGINES)
 
 
 def mixed_batch() -> tuple[Tensor, Tensor, Tensor]:
-    parameters = torch.stack([gel_of(model) for model in MATERIALS])
-    count = len(parameters)
+    count = len(EVERY_GEL)
     designs = torch.stack(
         (torch.linspace(200.0, 1000.0, count), torch.linspace(0.3, 0.15, count)), dim=-1
     ).to(torch.float64)
     times = torch.stack([grid(1.5 + 0.05 * i, 31) for i in range(count)])
-    return parameters, designs, times
+    return EVERY_GEL, designs, times
 
 
 def simulator_of(engine: Engine) -> PolytropicSimulator:

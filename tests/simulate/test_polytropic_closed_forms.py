@@ -87,6 +87,7 @@ def test_that_energy_is_kept_without_sound_and_viscosity_through_three_rebounds(
     assert kinetic.max() > 0.5
 
 
+AT_REST = Conditions(gas=PolytropicGas(1.3, "rest"))
 LINEAR = {
     "gas alone": (Conditions(gas=PolytropicGas(1.4, "rest", vapour=False)), {}, 50.0),
     "small bubble, surface tension": (
@@ -95,14 +96,14 @@ LINEAR = {
         2.0,
     ),
     "vapour": (Conditions(gas=PolytropicGas(1.3, "rest", vapour=True)), {}, 500.0),
-    "elastic": (Conditions(gas=PolytropicGas(1.3, "rest")), {"G": 2e4}, 500.0),
+    "elastic": (AT_REST, {"G": 2e4}, 500.0),
     "elastic and viscous": (
-        Conditions(gas=PolytropicGas(1.3, "rest")),
+        AT_REST,
         {"G": 2e4, "mu": 0.2},
         500.0,
     ),
     "stiffening does nothing at rest": (
-        Conditions(gas=PolytropicGas(1.3, "rest")),
+        AT_REST,
         {"G": 2e4, "mu": 0.2, "alpha": 2.0},
         500.0,
     ),

@@ -1,5 +1,7 @@
 """The polytropic simulator against SciPy on separately written equations, its own convergence, and another public code."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -15,7 +17,9 @@ from imr_torch.simulate import (
     Stepping,
 )
 from imr_torch.units import Surroundings
-from tests.simulate.bubble import DESIGN, FINE, GEL, Reference, gel, grid, tensor
+from tests.conformance.imrv2 import read_setting
+from tests.simulate.bubble import DESIGN, FINE, GEL, gel, grid, tensor
+from tests.simulate.si_reference import Reference
 from tests.tables import for_each
 
 AT = tensor(*DESIGN)
@@ -121,49 +125,22 @@ def imrv2(shared):
         curves = dict(zip(arrays["case_id"].tolist(), arrays["R_star"], strict=True))
     ours = {}
     for case in cases:
-        conditions, values, design, times = imrv2_setting(document["constants"], case)
+        conditions, values, design, times = read_case(document["constants"], case)
         simulator = PolytropicSimulator(conditions, STEPPINGS["reference"])
-        ours[case["id"]] = simulator(
-            gel(**values), tensor(*design), torch.tensor(times)
-        ).radius.numpy()
+        ours[case["id"]] = simulator(gel(**values), tensor(*design), times).radius.numpy()
     return document["constants"], cases, curves, ours
 
 
-def imrv2_setting(
-    constants: dict, case: dict
-) -> tuple[Conditions, dict[str, float], tuple[float, float], np.ndarray]:
-    """Conditions, gel, design and times of one of their configurations; their quadratic model is qKV term by term:
-    ``(3a-1)(5-4x-x^4)/2 + 2a (27/40 + x^8/8 + x^5/5 + x^2 - 2/x)`` sums to our ``177/20 + ...`` at
+def read_case(constants: dict, case: dict):
+    """Conditions of the textbook's gas, gel, design and times of one of their configurations; their quadratic model is
+    qKV term by term: ``(3a-1)(5-4x-x^4)/2 + 2a (27/40 + x^8/8 + x^5/5 + x^2 - 2/x)`` sums to our ``177/20 + ...`` at
     ``alpha = a``.
     """
-    c = case["configuration"]
-    surroundings = Surroundings(
-        constants["far_field_pressure_pa"],
-        constants["liquid_density_kg_per_m3"],
-        constants["surface_tension_n_per_m"],
-        constants["far_field_temperature_k"],
-        constants["sound_speed_m_per_s"],
-    )
-    conditions = Conditions(
-        surroundings,
-        PolytropicGas(constants["ratio_of_specific_heats"], "rest", c["vapour_pressure"]),
-    )
-    names = {
-        "G": "shear_modulus_pa",
-        "mu": "viscosity_pa_s",
-        "alpha": "strain_stiffening_coefficient",
-    }
-    values = {ours: c[theirs] or 0.0 for ours, theirs in names.items()}
-    top = c["initial_radius_m"]
-    times = np.linspace(
-        0.0, c["final_time_s"], c["number_of_times"]
-    ) / surroundings.time_scale(top)
-    return (
-        conditions,
-        values,
-        (surroundings.weber(top), c["equilibrium_radius_m"] / top),
-        times,
-    )
+    config = constants | case["configuration"]
+    seconds = np.linspace(0.0, config["final_time_s"], config["number_of_times"])
+    theirs, *others = read_setting(config | {"times_s": seconds})
+    gas = PolytropicGas(theirs.gas.exponent, "rest", theirs.gas.vapour)
+    return replace(theirs, gas=gas), *others
 
 
 def relative(curve: np.ndarray, reference: np.ndarray) -> float:
@@ -191,10 +168,12 @@ def test_that_imrv2_curves_are_met_exactly_with_their_departure_put_in(imrv2):
     """
     constants, cases, curves, ours = imrv2
     for case in cases:
-        conditions, values, design, times = imrv2_setting(constants, case)
+        conditions, values, design, times = read_case(constants, case)
         theirs = Reference(conditions, **values, vapour_stiffens=True).solve(
-            *design, times, rtol=1e-9
+            *design, times.numpy(), rtol=1e-9
         )[0]
         assert relative(theirs, curves[case["id"]]) < 2e-5, case["id"]
-        textbook = Reference(conditions, **values).solve(*design, times, rtol=1e-9)[0]
+        textbook = Reference(conditions, **values).solve(*design, times.numpy(), rtol=1e-9)[
+            0
+        ]
         assert relative(ours[case["id"]], textbook) < 1e-5, case["id"]

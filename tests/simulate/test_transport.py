@@ -19,8 +19,6 @@ from imr_torch.simulate import (
     Conditions,
     GasMixture,
     Medium,
-    PolytropicGas,
-    PolytropicSimulator,
     Resolution,
     TransportSimulator,
 )
@@ -114,26 +112,6 @@ def air(equations, state):
         :, 0
     ].numpy()
     return float(quadrature @ density)
-
-
-@pytest.mark.parametrize(
-    ("factor", "exponent"), [(1e5, 1.0), (1e-5, 1.4)], ids=["isothermal", "adiabatic"]
-)
-def test_perfect_and_absent_conduction_are_the_polytropic_limits(factor, exponent):
-    mixture = GasMixture(
-        conductivity_slope=5.3e-5 * factor,
-        conductivity_offset=1.17e-2 * factor,
-        vapour="absent",
-    )
-    gas = PolytropicGas(exponent, vapour=False)
-    conditions = Conditions(gas=gas, mixture=mixture, medium=Medium(warm=False))
-    parameters = PARAMETERS.pack({"G": 2770.0, "mu": 0.2})
-    designs = tensor([300.0, 0.3])
-    transport = TransportSimulator(conditions, Accuracy(1e-5, Resolution(32, 8)))(
-        parameters, designs, TIMES
-    )
-    polytropic = PolytropicSimulator(conditions)(parameters, designs, TIMES)
-    assert (transport.radius - polytropic.radius).abs().max() < 5e-3
 
 
 def test_closures_differ():

@@ -11,14 +11,12 @@ from imr_torch.gap import compare_gels, library
 from imr_torch.gap.document import laboratory_document
 from imr_torch.gap.hypotheses import Inquiry
 from imr_torch.material import LIBRARY
-from imr_torch.observe import Nuisance
 from imr_torch.random import generator
 from imr_torch.results import document_page, document_report, draw_figures, header
 from imr_torch.unknown import CommonCause, CommonUnknown
 from imr_torch.unknown.common import Causes
-from tests.gap.synthetic import BASE, DESIGNS, SIMULATOR, shoot
+from tests.gap.synthetic import BASE, DESIGNS, SIMULATOR, UNSURE, shoot
 
-UNSURE = Nuisance(max_radius=0.003, time_zero=0.004, rest_radius=0.01)
 DRAG = CommonCause(
     "size_drag", 0.97, {"one": [12.0], "own": [6.0, 5.0]}, [[1e6, 2e6, 3e6]] * 3
 )

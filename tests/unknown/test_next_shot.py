@@ -10,12 +10,10 @@ from torch.distributions import MultivariateNormal
 
 from imr_torch.design import Plan
 from imr_torch.float64 import eye, linspace, tensor, zeros
-from imr_torch.observe import Nuisance
 from imr_torch.unknown import choose_shot, infer_unknown
 from imr_torch.unknown.next_shot import _weigh_outcomes, plan_shot, predict_curve
-from tests.gap.synthetic import BASE, DESIGNS, SIMULATOR, fit, shoot
+from tests.gap.synthetic import BASE, DESIGNS, SIMULATOR, UNSURE, fit, shoot
 
-UNSURE = Nuisance(max_radius=0.003, time_zero=0.004, rest_radius=0.01)
 TRUTH = {"alpha": 0.3}
 PLAN = Plan(times=linspace(0.0, 3.0, 61), repeats=5, nuisance=UNSURE, collapses=None)
 
