@@ -78,6 +78,11 @@ EVERY_GEL = torch.stack([gel_of(model) for model in MATERIALS])
 """One of each registered model."""
 
 
+def largest_difference(one: Tensor, other: Tensor | float) -> float:
+    """Of two curves, or of several from one."""
+    return float((one - other).abs().max())
+
+
 def draw_bubbles(count: int, seed: int) -> tuple[Tensor, Tensor]:
     """Gels of the paper's prior, ``count x p``, and designs all over its box, ``count x 2``."""
     low, high = tensor([100.0, 0.14], [1000.0, 0.30])

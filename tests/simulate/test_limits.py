@@ -27,7 +27,7 @@ from imr_torch.simulate.bubbles import Bubbles
 from imr_torch.simulate.ode_method import ACCEPTED, CONTROL, TransportField
 from imr_torch.simulate.rhs import Equations
 from imr_torch.units import Surroundings
-from tests.simulate.bubble import EVERY_GEL, FINE, gel, grid, tensor
+from tests.simulate.bubble import EVERY_GEL, FINE, gel, grid, largest_difference, tensor
 from tests.tables import for_each
 
 VAPOUR = ("transported", "constant", "frozen", "absent")
@@ -60,7 +60,7 @@ def test_that_every_gel_released_at_rest_stays_put(simulator):
     solution = simulator(EVERY_GEL, tensor(300.0, 1.0 - 1e-12), grid(4.0, 9))
     error = 1e-10 if isinstance(simulator, PolytropicSimulator) else 1e-9
     assert solution.ok.all()
-    assert (solution.radius - 1.0).abs().max() < error
+    assert largest_difference(solution.radius, 1.0) < error
     assert solution.velocity.abs().max() < 1e-9
 
 
@@ -158,7 +158,7 @@ def test_that_fast_relaxation_is_no_memory_to_first_order_in_its_time(name):
         {"G_lin": 6e3} if name == "tau_sls" else {} if name == "tau_ucm" else {"G": 6e3}
     )
     curves = radii(base, *(base | {name: t} for t in (1.2e-7, 6e-8, 3e-8)))
-    errors = [float((curve - curves[0]).abs().max()) for curve in curves[1:]]
+    errors = [largest_difference(curve, curves[0]) for curve in curves[1:]]
     assert errors[0] < 0.03
     assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.15)
     assert errors[1] / errors[2] == pytest.approx(2.0, rel=0.1)
@@ -171,7 +171,7 @@ def test_that_slow_relaxation_leaves_the_spring_alone():
     """
     elastic = {"G": 6e3}
     curves = radii(elastic, *(elastic | {"mu": 0.08, "tau": t} for t in (0.05, 0.1)))
-    errors = [float((curve - curves[0]).abs().max()) for curve in curves[1:]]
+    errors = [largest_difference(curve, curves[0]) for curve in curves[1:]]
     assert errors[1] < 5e-3
     assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.1)
 
@@ -183,7 +183,7 @@ def test_that_full_retardation_is_no_memory():
         base | {"tau": 1e-5, "retardation": 1.0},
         base | {"tau_ucm": 1e-5, "retardation": 1.0},
     )
-    assert (curves - curves[0]).abs().max() < 1e-5
+    assert largest_difference(curves, curves[0]) < 1e-5
 
 
 # ---------------------------------------------------------------- energy
