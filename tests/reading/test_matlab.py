@@ -13,6 +13,7 @@ from imr_torch.reading.load import load_traces
 from imr_torch.reading.traces import TraceSet
 from tests.reading.test_formats import load_beside
 from tests.refusals import refused
+from tests.tables import for_each
 
 DIMENSIONLESS = KNOWN_LAYOUTS["dimensionless_cells"]
 SCALE = math.sqrt(998.0 / 101325.0)
@@ -77,32 +78,46 @@ def test_that_dimensionless_cells_of_v73_become_si(shared):
     assert len(reasons) == 8
 
 
-def test_that_a_fitted_peak_in_the_first_row_is_no_frame(shared):
-    traces = load_traces(shared / "data/original/Ag5.0_2E6_Ag_RofTdata_005.mat")
-    assert len(traces) == 1
-    assert len(traces[0]) == 170
-    assert traces[0].time_s[0].item() == pytest.approx(2.66547758e-7, rel=1e-8)
-    assert traces[0].radius_m[0].item() == pytest.approx(1.89242487e-4, rel=1e-8)
-    assert traces[0].given.max_radius_m == pytest.approx(1.8899831557204802e-4)
-    assert traces[0].given.time_of_max_s == 0.0
-    assert [(x.rows, x.reason.split()[0]) for x in traces.left_out] == [("1", "fitted")]
+FILES = {
+    "fitted peak in the first row": (
+        "Ag5.0_2E6_Ag_RofTdata_005",
+        170,
+        (2.66547758e-7, 1.89242487e-4),
+        {"max_radius_m": 1.8899831557204802e-4, "time_of_max_s": 0.0},
+        ("1", "fitted"),
+    ),
+    "pixels and frames": (
+        "PAstiff_xy002_RofT",
+        98,
+        (3 * 3.7037037037037037e-6, 91.92212703 * 2.76e-6),
+        {},
+        ("1-3", "radius"),
+    ),
+    "micrometres and the rest radius": (
+        "A_E2_002",
+        252,
+        (3.15000117e-6, 92.71498265e-6),
+        {"rest_radius_m": 21.790003973217058e-6},
+        ("1-4", "radius"),
+    ),
+}
+"""Name, frames, the first of them in SI, what the file states, and rows that are no frames, with the
+first word of why.
+"""
 
 
-def test_that_pixels_and_frames_become_si(shared):
-    traces = load_traces(shared / "data/original/PAstiff_xy002_RofT.mat")
-    assert len(traces[0]) == 98
-    assert traces[0].time_s[0].item() == pytest.approx(3 * 3.7037037037037037e-6)
-    assert traces[0].radius_m[0].item() == pytest.approx(91.92212703 * 2.76e-6, rel=1e-8)
-    assert [x.rows for x in traces.left_out] == ["1-3"]
-
-
-def test_that_micrometres_and_the_rest_radius_become_metres(shared):
-    traces = load_traces(shared / "data/original/A_E2_002.mat")
-    assert len(traces[0]) == 252
-    assert traces[0].time_s[0].item() == pytest.approx(3.15000117e-6, rel=1e-8)
-    assert traces[0].radius_m[0].item() == pytest.approx(92.71498265e-6, rel=1e-8)
-    assert traces[0].given.rest_radius_m == pytest.approx(21.790003973217058e-6)
-    assert [x.rows for x in traces.left_out] == ["1-4"]
+@for_each("file", FILES)
+def test_that_what_a_file_holds_becomes_frames_in_si(shared, file):
+    name, frames, first, given, left_out = file
+    traces = load_traces(shared / f"data/original/{name}.mat")
+    (trace,) = traces
+    assert len(trace) == frames
+    assert (trace.time_s[0].item(), trace.radius_m[0].item()) == pytest.approx(
+        first, rel=1e-8
+    )
+    for field, value in given.items():
+        assert getattr(trace.given, field) == pytest.approx(value)
+    assert [(x.rows, x.reason.split()[0]) for x in traces.left_out] == [left_out]
 
 
 @pytest.mark.parametrize("chosen", [(0, 1, 2), (0, 2, 3), (1, 2, 3)])
