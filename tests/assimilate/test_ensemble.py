@@ -31,6 +31,14 @@ def kalman(model, data, noise, mean, covariance):
     return mean + gain @ (data - mean @ model), covariance - gain @ model.mT @ covariance
 
 
+def assert_kalman(found, *problem):
+    """Mean and covariance, which are returned."""
+    truth, spread = kalman(*problem)
+    assert_close(found.mean, truth)
+    assert_close(found.chol @ found.chol.mT, spread)
+    return truth, spread
+
+
 @pytest.mark.parametrize("own_prior", [False, True])
 def test_that_it_is_the_kalman_filter_of_a_linear_model(own_prior):
     members, model, data, noise = draw_problem()
@@ -41,9 +49,7 @@ def test_that_it_is_the_kalman_filter_of_a_linear_model(own_prior):
         covariance = tensor([[2.0, 0.3, 0.0], [0.3, 1.0, 0.1], [0.0, 0.1, 0.5]])
     prior = (mean, covariance) if own_prior else None
     found = analyse_ensemble(members, members @ model, data, noise, prior=prior)
-    truth, spread = kalman(model, data, noise, mean, covariance)
-    assert_close(found.mean, truth)
-    assert_close(found.chol @ found.chol.mT, spread)
+    truth, spread = assert_kalman(found, model, data, noise, mean, covariance)
     moved = found.move_members(members)
     assert_close(moved.mean(0), truth)
     assert_close(moved.mT.cov(), spread)
@@ -56,9 +62,7 @@ def test_that_variances_are_a_diagonal_covariance_and_failed_members_are_left_ou
     predictions[3, 2] = torch.nan
     prior = zeros(SIZE), eye(SIZE)
     found = analyse_ensemble(members, predictions, data, variances, prior=prior)
-    truth, spread = kalman(model, data, variances.diag(), *prior)
-    assert_close(found.mean, truth)
-    assert_close(found.chol @ found.chol.mT, spread)
+    assert_kalman(found, model, data, variances.diag(), *prior)
 
 
 def test_that_spread_is_relaxed_towards_what_it_was():
@@ -87,9 +91,7 @@ def test_that_influence_lets_few_members_serve_many_coordinates():
     found = analyse_ensemble(
         members, members @ model, data, noise, prior=prior, influence=influence
     )
-    truth, spread = kalman(model, data, noise, *prior)
-    assert_close(found.mean, truth)
-    assert_close(found.chol @ found.chol.mT, spread)
+    assert_kalman(found, model, data, noise, *prior)
     with refused("ensemble has 5 members of 8 coordinates", ShapeError):
         found.move_members(members)
 
