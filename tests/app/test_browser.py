@@ -118,9 +118,9 @@ def test_that_bad_files_are_named_and_good_ones_read(app, tmp_path):
     files = [tmp_path / "bad.csv", example_gel(), example_gel().with_suffix(".json")]
     app.page.set_input_files("input[type=file]", files)
     app.sees("4 curve(s)")
-    app.sees(re.compile(r"files/bad\.csv: .*"))
+    app.sees("files/bad.csv: ")
     app.press("Set bad.csv aside")
-    app.page.get_by_text(re.compile(r"files/bad\.csv: .*")).wait_for(state="detached")
+    app.page.get_by_text("files/bad.csv: ").wait_for(state="detached")
     assert {path.name for path in (app.folder / "files").iterdir()} == {
         "example_gel.csv",
         "example_gel.json",
@@ -147,7 +147,7 @@ def test_that_a_line_can_be_moved_and_a_value_typed_and_both_taken_back(app):
     assert set(stated) == {"Rinf_m", "Rinf_sd_m"}
     assert 5e-5 < stated["Rinf_m"] < 1.2e-4
     app.page.get_by_label("last fitted time (us)").fill("40")
-    app.sees(re.compile(r"40 of 67 frames are fitted"))
+    app.sees("40 of 67 frames are fitted")
     assert override(app)["window_end_s"] == pytest.approx(4e-5)
     app.press("As found")
     app.sees(re.compile(r"shot_1: Rmax .* \(as given\)"))
@@ -159,12 +159,12 @@ def test_that_the_medium_is_stated_and_a_wrong_one_refused(app):
     field = app.page.get_by_label("density (kg/m^3)", exact=True)
     field.fill("1")
     app.press("State it")
-    app.sees(re.compile(r"density is 1; expected"))
+    app.sees("density is 1; expected")
     field.fill("1040")
     app.page.get_by_label("sd of density").fill("5")
     app.press("State it")
-    app.sees(re.compile(r"density 1040 \+- 5 kg/m\^3"))
-    app.page.get_by_text(re.compile(r"density is 1; expected")).wait_for(state="detached")
+    app.sees("density 1040 +- 5 kg/m^3")
+    app.page.get_by_text("density is 1; expected").wait_for(state="detached")
     settings = read_json(app.folder / "settings.json")
     assert settings["medium"] == "density=1040:5"
 
@@ -186,9 +186,7 @@ def test_that_a_gel_is_characterised_and_the_page_read_and_everything_downloaded
     app.page.get_by_label("Bubble physics").click()
     app.page.get_by_role("option", name="polytropic").click()
     app.sees(
-        re.compile(
-            r"characterize files/example_gel\.csv --medium density=1040:5 --physics polytropic --models nhkv --out"
-        )
+        "characterize files/example_gel.csv --medium density=1040:5 --physics polytropic --models nhkv --out"
     )
     run(app)
     app.press("See the result")
@@ -227,10 +225,10 @@ def test_that_a_run_can_be_stopped_and_one_without_its_inputs_does_not_begin(app
     app.sees("Compare two: The first gel is missing.")
     assert not list(app.folder.glob("results/*_compare"))
     app.press("Diagnose")
-    app.sees(re.compile(r"imr-torch diagnose files"))
+    app.sees("imr-torch diagnose files")
     app.press("Run", exact=True)
     app.press("Stop")
-    app.sees(re.compile(r"003_diagnose: stopped"))
+    app.sees("003_diagnose: stopped")
     assert read_json(app.folder / "results/003_diagnose/run.json")["status"] == 130
 
 

@@ -1,7 +1,5 @@
 """The folder of the application keeps every file, and says of each whether it can be used."""
 
-from pathlib import Path
-
 import pytest
 
 from imr_torch import example_gel, load_traces
@@ -12,7 +10,8 @@ from imr_torch.observe import prepare, state
 from tests.refusals import refused
 
 
-def workspace(tmp_path: Path) -> Workspace:
+@pytest.fixture
+def made(tmp_path):
     made = Workspace(tmp_path / "gel")
     made.add_example()
     return made
@@ -35,8 +34,7 @@ def test_that_names_and_sizes_are_checked(name, size, text):
         check_name(name, size)
 
 
-def test_that_no_name_leaves_the_folder(tmp_path):
-    made = workspace(tmp_path)
+def test_that_no_name_leaves_the_folder(made, tmp_path):
     made.add_file("../../elsewhere/a.csv", b"x")
     made.add_file("C:\\gels\\b.csv", b"x")
     assert {path.name for path in made.files_folder.iterdir()} == {
@@ -48,8 +46,7 @@ def test_that_no_name_leaves_the_folder(tmp_path):
     assert not (tmp_path / "elsewhere").exists()
 
 
-def test_that_a_file_that_cannot_be_used_is_named_and_costs_no_other(tmp_path):
-    made = workspace(tmp_path)
+def test_that_a_file_that_cannot_be_used_is_named_and_costs_no_other(made, tmp_path):
     made.add_file("bad.csv", b"time,radius\n0,1\n")
     made.add_file("bad.json", b"{}")
     made.add_file("lone.json", b"{}")
@@ -62,8 +59,7 @@ def test_that_a_file_that_cannot_be_used_is_named_and_costs_no_other(tmp_path):
     assert len(made.load_curves()) == 4
 
 
-def test_that_a_replaced_file_is_set_aside(tmp_path):
-    made = workspace(tmp_path)
+def test_that_a_replaced_file_is_set_aside(made):
     before = (made.files_folder / "example_gel.csv").read_bytes()
     assert made.add_file("example_gel.csv", before) == "example_gel.csv is there already."
     said = made.add_file("example_gel.csv", before + b"\n")
@@ -72,15 +68,13 @@ def test_that_a_replaced_file_is_set_aside(tmp_path):
     assert kept.read_bytes() == before
 
 
-def test_that_what_is_taken_out_is_kept_with_the_json_beside_it(tmp_path):
-    made = workspace(tmp_path)
+def test_that_what_is_taken_out_is_kept_with_the_json_beside_it(made):
     made.take_out("example_gel.csv")
     assert not list(made.files_folder.iterdir())
     assert len(list((made.folder / "set_aside").iterdir())) == 2
 
 
-def test_that_a_folder_is_found_again_as_it_was_left(tmp_path):
-    made = workspace(tmp_path)
+def test_that_a_folder_is_found_again_as_it_was_left(made):
     made.change_setting("medium", "water,temperature=310")
     made.change_setting("layout", "")
     again = Workspace(made.folder)
@@ -88,8 +82,7 @@ def test_that_a_folder_is_found_again_as_it_was_left(tmp_path):
     assert again.find_medium().surroundings.temperature == 310.0
 
 
-def test_that_wrong_statements_change_nothing(tmp_path):
-    made = workspace(tmp_path)
+def test_that_wrong_statements_change_nothing(made):
     with refused("density is 1; expected"):
         made.change_setting("medium", "density=1")
     with pytest.raises(InputDataError):
@@ -97,16 +90,14 @@ def test_that_wrong_statements_change_nothing(tmp_path):
     assert made.settings == {"layout": "", "medium": ""}
 
 
-def test_that_a_curve_is_shown_as_the_commands_fit_it(tmp_path):
-    made = workspace(tmp_path)
+def test_that_a_curve_is_shown_as_the_commands_fit_it(made):
     view = made.view_curve("shot_2", 2)
     prepared = prepare(load_traces(example_gel()).select(["shot_2"]))
     assert view.fitted[1] - view.fitted[0] + 1 == len(prepared.experiments[0].times)
     assert view.report == prepared.report().splitlines()[1].strip()
 
 
-def test_that_what_is_stated_is_what_the_commands_read(tmp_path):
-    made = workspace(tmp_path)
+def test_that_what_is_stated_is_what_the_commands_read(made):
     view = made.view_curve("shot_2", 2)
     state(
         view.trace.source, "shot_2", {"Rinf_m": 6e-5, "Rinf_sd_m": 1e-6}, alone=view.alone
