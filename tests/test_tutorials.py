@@ -1,11 +1,11 @@
 """Every tutorial runs from top to bottom, in a smoke mode that only makes it small."""
 
 import importlib.util
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+from tests.processes import ROOT
+
 TUTORIALS = sorted((ROOT / "tutorials").glob("[0-9]*.py"))
 NEEDS = {"16_on_a_cluster": "distributed", "17_neural_posterior_with_sbi": "sbi"}
 

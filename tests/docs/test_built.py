@@ -6,7 +6,6 @@ from collections import defaultdict
 from functools import partial
 from html.parser import HTMLParser
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
-from pathlib import Path
 from threading import Thread
 from urllib.parse import unquote, urldefrag
 
@@ -14,9 +13,9 @@ import pytest
 
 from imr_torch.labels import file_name
 from imr_torch.material import LIBRARY
-from tests.processes import BROWSER
+from tests.processes import BROWSER, ROOT
 
-BUILT = Path(__file__).resolve().parents[2] / "docs" / "_build" / "html"
+BUILT = ROOT / "docs" / "_build" / "html"
 PAGES = (
     "index",
     "start/index",

@@ -11,8 +11,9 @@ import pytest
 import scipy.io
 
 from imr_torch import example_gel, load_traces
+from tests.processes import ROOT
 
-HOWTO = Path(__file__).resolve().parents[2] / "docs" / "howto"
+HOWTO = ROOT / "docs" / "howto"
 CHEAPER = {
     "characterize": "--physics polytropic --noise published --models nhkv",
     "diagnose": "--physics polytropic --noise published --most 1 --effects wall,clock",

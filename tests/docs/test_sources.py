@@ -7,16 +7,15 @@ import inspect
 import re
 import shlex
 import sys
-from pathlib import Path
 
 import pytest
 
 import imr_torch
 from imr_torch.cli import build_parser
 from imr_torch.material import LIBRARY
+from tests.processes import ROOT
 from tests.test_cli_start import BUILT_IN
 
-ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 WRITTEN = sorted(
     [

@@ -1,7 +1,5 @@
 """The page of measured gels follows from its record, and the one that is kept from the one that is kept."""
 
-from pathlib import Path
-
 import torch
 
 from benchmarks.real_gels import away_from_first_collapse
@@ -10,8 +8,8 @@ from benchmarks.records import read_record
 from imr_torch.float64 import tensor
 from imr_torch.observe import Experiment
 from tests.figures import rendering
+from tests.processes import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 KEPT = ROOT / "docs" / "_static" / "measured"
 ROWS = read_record(ROOT / "benchmarks" / "records" / "real_gels.jsonl")
 
