@@ -38,7 +38,13 @@ from tests.refusals import refusals, refused
 from tests.tables import for_each
 
 MODELS = for_each("model", MATERIALS)
-POINT = [tensor(x) for x in (0.4, -1.0, REST)]
+
+
+def point_at(radius, velocity):
+    return [tensor(x) for x in (radius, velocity, REST)]
+
+
+POINT = point_at(0.4, -1.0)
 ENTRIES = ("value", "rate", "acceleration")
 
 
@@ -83,7 +89,7 @@ def test_that_held_memory_neither_changes_nor_forgets_which_way_to_push(model, r
 def test_that_viscous_stress_opposes_the_motion(model, velocity):
     """At once, or as the memory of a Maxwell branch builds up."""
     theta = tensors(values_of(model))
-    point = [tensor(x) for x in (REST, velocity, REST)]
+    point = point_at(REST, velocity)
     memory = 0.0 * memory_of(model.terms)
     value = float(stress_of(model, *point, theta, memory).value)
     growth = float(memory_rate(model.terms, *point, theta, memory).sum())
@@ -108,7 +114,7 @@ def test_that_a_model_inside_the_full_set_of_terms_is_the_model_alone(
     model, radius, velocity
 ):
     theta = tensors(values_of(model))
-    point = [tensor(x) for x in (radius, velocity, REST)]
+    point = point_at(radius, velocity)
     own = set(model.terms)
     rows = []
     start = 0
