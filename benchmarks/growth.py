@@ -22,7 +22,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from benchmarks.real_gels import SETS, standardise
+from benchmarks.real_gels import SEARCH, SETS, standardise
 from benchmarks.records import (
     Job,
     Line,
@@ -44,7 +44,7 @@ from imr_torch.observe import (
     predict,
     prepare,
 )
-from imr_torch.simulate import ACCURACIES, Simulator, TransportSimulator
+from imr_torch.simulate import Simulator
 
 LOWEST = 0.6
 NOISE = Noise(scale=0.004, slope=0.0, drift=0.0, floor=1.0)
@@ -95,16 +95,15 @@ def mirror(shot: Experiment, frames: Tensor) -> Tensor:
 
 def judge_set(path: Path, model: str, most: int) -> Line:
     """Both predictions of one set by one model."""
-    simulator = TransportSimulator(accuracy=ACCURACIES["search"], threads=1)
     traces = load_traces(path)
-    medium = medium_of(traces, SETS[path.stem], simulator.conditions.surroundings)
-    simulator = medium.applied(simulator)
+    medium = medium_of(traces, SETS[path.stem], SEARCH.conditions.surroundings)
+    simulator = medium.applied(SEARCH)
     prior = medium.believed(wide_prior(["nhkv"]))
     if model == DRAG:
         nhkv = prior.models[0]
         prior = even_belief((add_parameters(nhkv, LIBRARY["size_drag"].priors),))
     try:
-        prepared = prepare(traces, simulator.conditions.surroundings, growth=LOWEST)
+        prepared = prepare(traces, SEARCH.conditions.surroundings, growth=LOWEST)
     except InputDataError as error:  # a record without R_inf
         return {"shots": 0, "refused": str(error).replace(f"{path.parent}/", "")}
     shots = [

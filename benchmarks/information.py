@@ -70,6 +70,7 @@ DESIGNS = (
     (200.0, 0.25),
 )
 SEEDS = 4
+SEARCH = TransportSimulator(accuracy=ACCURACIES["search"], threads=1)
 
 
 def space_designs(count: int) -> Tensor:
@@ -152,7 +153,7 @@ def time_estimates(repeats: int) -> Line:
     """What the refinement of rivals costs with heat and vapour transport: median CPU of an estimate
     and of a whole search.
     """
-    simulator = coarser(TransportSimulator(accuracy=ACCURACIES["search"], threads=1))
+    simulator = coarser(SEARCH)
     rows = []
     for name, estimator in (
         ("refined", Laplace(draws=16)),
@@ -174,7 +175,6 @@ def time_estimates(repeats: int) -> Line:
 
 def compare_coarse_bubbles(case: str) -> Line:
     """How far the coarse bubbles of searches move the gain of five designs, 32 draws."""
-    simulator = TransportSimulator(accuracy=ACCURACIES["search"], threads=1)
     rows = []
     for design in DESIGNS[::2]:
         X = tensor([design])
@@ -187,7 +187,7 @@ def compare_coarse_bubbles(case: str) -> Line:
                 estimator=Laplace(draws=32),
                 seed=1,
             )
-            for s in (simulator, coarser(simulator))
+            for s in (SEARCH, coarser(SEARCH))
         )
         rows.append((design, fine.value, fine.variance**0.5, coarse.value - fine.value))
     return {
@@ -229,15 +229,14 @@ class Recalled:
 
 def bound_model_gain(design: tuple[float, float]) -> Line:
     """The gain about the model at one design by each estimator, as ``[value, error]`` in nats."""
-    simulator = TransportSimulator(accuracy=ACCURACIES["search"], threads=1)
-    recalled = Recalled(simulator)
+    recalled = Recalled(SEARCH)
     X = tensor([design])
     line: Line = {"design": design}
     for name, estimator, seeds, used in (
         ("nested", NestedMonteCarlo(600, 15000), 1, recalled),
         ("contrastive", PriorContrastive(600, 15000), 1, recalled),
-        ("refined", Laplace(32, 32), 16, simulator),
-        ("at a draw", Laplace(32, 32, refinements=0), 16, simulator),
+        ("refined", Laplace(32, 32), 16, SEARCH),
+        ("at a draw", Laplace(32, 32, refinements=0), 16, SEARCH),
     ):
         gains = [
             expected_information_gain(

@@ -59,6 +59,7 @@ SETS: dict[str, str] = {name: own["medium"] for name, own in KNOWN["sets"].items
 BASE = "nhkv"
 SEED = 0
 REST = (0.2, 0.08)  # assumed R_inf/Rmax of a record without a tail
+SEARCH = TransportSimulator(accuracy=ACCURACIES["search"], threads=1)
 JUDGING = Noise(scale=0.004, slope=0.0, drift=0.0, floor=1.0, jitter=0.15 / 0.004)
 _DROP_BEHIND = 50.0  # nats by which a model must be behind to be left there
 
@@ -92,7 +93,7 @@ def characterize_set(file: Path, most: int, medium: str) -> Line:
     traces, rest = read_curves(file, most)
     result = characterize(
         traces,
-        simulator=TransportSimulator(accuracy=ACCURACIES["search"], threads=1),
+        simulator=SEARCH,
         options=SearchOptions(drop_behind=_DROP_BEHIND),
         medium=medium,
         rest_radius=rest,
@@ -115,14 +116,13 @@ def diagnose_set(file: Path, most: int, medium: str, *, other: bool) -> Line:
     unjudged.
     """
     traces, rest = read_curves(file, most)
-    simulator = TransportSimulator(accuracy=ACCURACIES["search"], threads=1)
-    stated = medium_of(traces, medium, simulator.conditions.surroundings)
+    stated = medium_of(traces, medium, SEARCH.conditions.surroundings)
     experiments = prepare(traces, stated.surroundings, rest_radius=rest).experiments
     fitted = experiments[int(other) :: 2]
     if not fitted:
         return {"skipped": "one curve has no other half"}
     unseen = further_curves(file, fitted, stated.surroundings, rest)
-    simulator = stated.applied(simulator)
+    simulator = stated.applied(SEARCH)
     effects = [e for e in library(base=BASE) if not set(e.names) & set(stated.priors)]
     seed = child(SEED, "other" if other else "first")
     report = diagnose(

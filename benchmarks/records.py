@@ -253,10 +253,11 @@ def start_parser(doc: str | None) -> argparse.ArgumentParser:
 
 
 def start_commands(
-    doc: str | None, *folders: str
+    doc: str | None, *folders: str, sets: int = 0, seed: int = 0
 ) -> tuple[argparse.ArgumentParser, Any, argparse.ArgumentParser]:
     """The same with commands (``what``): ``run`` has folders that it reads and ``out``, ``table`` has
-    ``files``; others and more arguments can be added.
+    ``files``; others and more arguments can be added. Where simulated ``sets`` are made, ``run`` takes
+    another number of them and the seed of the first.
     """
     parser = start_parser(doc)
     commands = parser.add_subparsers(dest="what", required=True)
@@ -264,6 +265,9 @@ def start_commands(
     for name in folders:
         runs.add_argument(name, type=Path)
     add_out(runs)
+    if sets:
+        runs.add_argument("--sets", type=int, default=sets)
+        runs.add_argument("--seed", type=int, default=seed)
     tables = commands.add_parser("table", help="score the lines of runs")
     tables.add_argument("files", nargs="+", metavar="OUT.jsonl")
     return parser, commands, runs

@@ -5,8 +5,8 @@ or each shot has a pressure of its own.
       [--only darcy,none] [--physics resting]
   python -m benchmarks.gap.foreign table OUT.jsonl ...
 
-Sets are those of :mod:`benchmarks.gap.foreign_sets`. The default diagnosis and what is missing are
-asked of each.
+Sets, ``--sets`` of each effect and path, are those of :mod:`benchmarks.gap.foreign_sets`. The
+default diagnosis and what is missing are asked of each.
 Kinds that are right were stated before any set was run (``EFFECTS``): a viscous interface is one of
 the contents or a stress of the gel; what a drag in the pores may be taken for, of the sample as well;
 a loss by shapes that look larger, of the contents or the camera. Every name of a library effect is
@@ -205,11 +205,7 @@ def score_unseen(line: Line) -> float | None:
 
 def main() -> None:
     """Run or tabulate."""
-    parser, _, runs = start_commands(__doc__)
-    runs.add_argument("--sets", type=int, default=4, help="of each effect and path")
-    runs.add_argument(
-        "--seed", type=int, default=0, help="of the first set; others count up"
-    )
+    parser, _, runs = start_commands(__doc__, sets=4)
     runs.add_argument("--physics", choices=SIMULATORS, default="resting")
     runs.add_argument("--paths", default=",".join(PATHS))
     runs.add_argument("--only", default=",".join(STARTS))

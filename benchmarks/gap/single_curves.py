@@ -325,9 +325,7 @@ def _write_named(kind: str, lines: Sequence[Line]) -> str:
 
 def main() -> None:
     """Run or tabulate."""
-    parser, commands, runs = start_commands(__doc__)
-    runs.add_argument("--sets", type=int, default=275)
-    runs.add_argument("--seed", type=int, default=SEED, help="other sets by another one")
+    parser, commands, runs = start_commands(__doc__, sets=275, seed=SEED)
     runs.add_argument("--every", type=int, default=5, help="is characterised too; 0: none")
     runs.add_argument(
         "--shown", action="store_true", help="diagnose effects that p < .001 shows"

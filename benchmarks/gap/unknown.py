@@ -272,10 +272,8 @@ def list_jobs(args: argparse.Namespace) -> dict[str, Job]:
 
 def main() -> None:
     """Run or tabulate."""
-    parser, _, runs = start_commands(__doc__)
-    runs.add_argument("--sets", type=int, default=40)
+    parser, _, runs = start_commands(__doc__, sets=40)
     runs.add_argument("--physics", choices=PHYSICS, default="transport")
-    runs.add_argument("--seed", type=int, default=0)
     finish_command(parser, list_jobs, write_scores)
 
 

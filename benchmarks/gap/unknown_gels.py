@@ -179,10 +179,7 @@ def list_jobs(args: argparse.Namespace) -> dict[str, Job]:
 
 def main() -> None:
     """Run or tabulate."""
-    parser, _, runs = start_commands(__doc__)
-    runs.add_argument("--sets", type=int, default=56)
-    runs.add_argument("--seed", type=int, default=0)
-    finish_command(parser, list_jobs, write_scores)
+    finish_command(start_commands(__doc__, sets=56)[0], list_jobs, write_scores)
 
 
 if __name__ == "__main__":
