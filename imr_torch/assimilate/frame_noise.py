@@ -230,8 +230,8 @@ def frame_motions(
     spacings = torch.stack([e.times.diff().median() for e in batch.curves])
     times = batch.times[..., None] + jitter * spacings[:, None, None] * errors
     # not before the first frame, and no two alike
-    times = times.clamp_min(float(batch.times.min())) + 1e-9 * torch.arange(nodes)
-    rising, order = times.flatten(1).sort(1)
+    rising, order = times.clamp_min(float(batch.times.min())).flatten(1).sort(1)
+    rising = rising + 1e-9 * torch.arange(rising.shape[1])
     radius = predict(
         posterior.simulator,
         posterior.prior.to_si(near.point.gel),

@@ -110,9 +110,8 @@ class Noise:
         ``motions`` are the bends of the radius itself where they are not given.
         """
         law = self.slope * (radius - 1.0).abs() + self.drift * times.abs()
-        variance = law.square() + self.floor**2
-        if self.edge:
-            variance = variance + (self.edge / radius.clamp_min(SMALLEST)).square()
+        edge = self.edge / radius.clamp_min(SMALLEST)
+        variance = law.square() + self.floor**2 + edge.square()
         if self.jitter:
             motions = frame_bends(radius) if motions is None else motions
             variance = variance + (self.jitter * motions).square()

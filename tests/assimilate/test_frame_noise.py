@@ -223,6 +223,17 @@ def test_that_errors_that_grow_as_the_bubble_is_small_are_recovered(seed):
         assert float(ratio) == pytest.approx(1.0, abs=0.3)
 
 
+def test_that_frames_that_follow_one_another_closely_are_followed():
+    """The first two lie within an error of time of each other."""
+    times = torch.cat((tensor(0.0, 0.001), linspace(0.04, 2.0, 50)))
+    shot = Experiment("a", DESIGNS[0], times, ones(1, len(times)))
+    posterior = Posterior(BASE, ExperimentBatch((shot,)), SIMULATOR)
+    place = posterior.neighbourhood(
+        Point(zeros(len(BASE.names)), posterior.mean_nuisances())
+    )
+    assert frame_motions(place).isfinite().all()
+
+
 def test_that_a_fit_that_failed_leaves_the_motion_as_the_curve_says():
     place = near(shoot(pixels(0.002)))
     lost = replace(place.point, gel=place.point.gel + 200.0)
