@@ -223,7 +223,13 @@ class Belief:
 
 
 def even_belief(models: Iterable[ModelBelief]) -> Belief:
-    """Models of equal probability."""
+    """Models of equal probability.
+
+    >>> from imr_torch import wide_prior
+    >>> from imr_torch.material import even_belief
+    >>> even_belief(wide_prior(["nhkv", "gen_qkv"]).models).log_probabilities.exp()
+    tensor([0.5000, 0.5000], dtype=torch.float64)
+    """
     kept = tuple(models)
     return Belief(kept, zeros(len(kept)))
 
