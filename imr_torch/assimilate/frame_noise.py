@@ -70,8 +70,8 @@ class FrameNoise:
             above when not given.
         widened: factor by which 90 % intervals of the gel by that law are to be wider, for what
             residuals have in common; near 1 where the model explains the curves.
-        motions: of each experiment, how far the bubble moves from frame to frame; None where that
-            is read off the curve.
+        motions: of each experiment, how far the bubble moves from frame to frame; None, or nothing
+            at all, where that is read off the curves.
 
     >>> import torch
     >>> from dataclasses import replace
@@ -92,7 +92,7 @@ class FrameNoise:
     factor_sds: tuple[float, ...]
     independent: tuple[Noise, NoiseLaws] | None = None
     widened: float = 1.0
-    motions: tuple[FrameValues | None, ...] | None = None
+    motions: tuple[FrameValues | None, ...] = ()
 
     def for_fits(self, *, widen: bool) -> "FrameNoise":
         """The laws of independent residuals, enlarged if intervals are to be right.

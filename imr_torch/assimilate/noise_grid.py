@@ -24,7 +24,7 @@ from imr_torch.assimilate.noise_law import (
 from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.float64 import ones, tensor, zeros
 from imr_torch.observe import Noise, NoiseLaws
-from imr_torch.observe.noise import SMALLEST
+from imr_torch.observe.noise import steady_variance
 
 
 @dataclass(frozen=True)
@@ -125,12 +125,9 @@ class FittedCurves:
     def noise_variance(self, values: Tensor, factors: Tensor) -> Tensor:
         """``J x E x T`` tensor, variance of the noise at scale 1, without its jitter."""
         laws, which = values[:, :4].unique(dim=0, return_inverse=True)
-        slope, drift, floor, edge = laws.T[..., None, None]
-        radius = self.near.centre
-        grown = slope * (radius - 1.0).abs() + drift * self.near.posterior.batch.times
-        variance = (
-            grown.square() + floor.square() + (edge / radius.clamp_min(SMALLEST)).square()
-        )
+        parts = laws.T[..., None, None]
+        times = self.near.posterior.batch.times
+        variance = steady_variance(self.near.centre, times, *parts)
         return (variance * factors[self.place, None].square())[which]
 
     def whiten_columns(

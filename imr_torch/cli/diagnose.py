@@ -90,20 +90,19 @@ def _compare_files(args: Namespace) -> None:
         )
     args.command = args.terminal.command = "laboratory"
     terminal = args.terminal.plan_stages()
-    _holds_sets(args)
+    _holds_sets(args)  # refuses a mixture before any file is read
     read = {
         name: _read_files(Namespace(**vars(args) | {"files": [file]}))
         for name, file in zip(names, args.files, strict=True)
     }
-    gels = {name: inquiry for name, (inquiry, _, _) in read.items()}
-    common = set.intersection(*(set(gel.effects) for gel in gels.values()))
+    common = set.intersection(*(set(gel.effects) for gel, _, _ in read.values()))
     gels = {
         name: replace(
             gel,
             effects=tuple(filter(common.__contains__, gel.effects)),
             progress=lambda text, name=name: terminal(ProgressLine(text, step=name)),
         )
-        for name, gel in gels.items()
+        for name, (gel, _, _) in read.items()
     }
     found = compare_gels(gels, estimate_noise=_estimates_noise(args), seed=args.seed)
     media = {name: medium.report() for name, (_, medium, _) in read.items()}

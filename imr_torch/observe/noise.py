@@ -28,9 +28,6 @@ from imr_torch.types import (
 FEWEST_RESIDUALS = 10
 """Degrees of freedom that residuals must have for the noise to be estimated from them."""
 
-SMALLEST = 0.01
-"""R* below which the part of the edge grows no more."""
-
 WIDE = 1.05
 """Factor from which on it is said that noise counts as larger than it is."""
 
@@ -109,9 +106,9 @@ class Noise:
 
         ``motions`` are the bends of the radius itself where they are not given.
         """
-        law = self.slope * (radius - 1.0).abs() + self.drift * times.abs()
-        edge = self.edge / radius.clamp_min(SMALLEST)
-        variance = law.square() + self.floor**2 + edge.square()
+        variance = steady_variance(
+            radius, times, self.slope, self.drift, self.floor, self.edge
+        )
         if self.jitter:
             motions = frame_bends(radius) if motions is None else motions
             variance = variance + (self.jitter * motions).square()
@@ -165,6 +162,29 @@ class Noise:
             :, 0
         ]
         return radius + self.sd(radius, times) * noise
+
+
+def steady_variance(
+    radius: Tensor,
+    times: Tensor,
+    slope: float | Tensor,
+    drift: float | Tensor,
+    floor: float | Tensor,
+    edge: float | Tensor,
+    *,
+    smallest: float = 0.01,
+) -> Tensor:
+    """Variance of one frame without its jitter at scale 1, R*^2; arguments broadcastable, and as of
+    :class:`Noise`. Below the ``smallest`` R* the part of the edge grows no more.
+
+    >>> import torch
+    >>> from imr_torch.observe.noise import steady_variance
+    >>> radius, times = torch.tensor([[1.0, 0.5], [0.0, 1.0]], dtype=torch.float64)
+    >>> [round(x, 6) for x in steady_variance(radius, times, 0.0, 0.0, 0.003, 0.002).tolist()]
+    [1.3e-05, 2.5e-05]
+    """
+    grown = slope * (radius - 1.0).abs() + drift * times.abs()
+    return grown.square() + floor**2 + (edge / radius.clamp_min(smallest)).square()
 
 
 def frame_bends(radius: Float[Tensor, "*batch frames"]) -> Float[Tensor, "*batch frames"]:

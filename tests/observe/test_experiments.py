@@ -227,6 +227,18 @@ def test_that_bad_input_is_named(design, times, radius, error, message):
         Experiment("x", design, times, radius)
 
 
+def test_that_a_motion_of_other_frames_is_named():
+    with pytest.raises(
+        ShapeError, match=r"Experiment 'x': expected the motion of 3 frames"
+    ):
+        Experiment("x", (500.0, 0.2), TIMES, RADIUS, motion=TIMES[:2])
+
+
+def test_that_frames_that_are_left_out_take_their_motion_along():
+    shot = Experiment("x", (500.0, 0.2), TIMES, RADIUS, motion=tensor(0.0, 0.2, 0.3))
+    assert shot.at(TIMES > 0.0).motion.tolist() == [0.2, 0.3]
+
+
 @pytest.mark.parametrize(
     "shift",
     [(0.0, -1.0, 0.0), (-0.95, 0.0, 0.0), (-2.0, 0.0, 0.0), (0.0, math.nan, 0.0)],
