@@ -227,7 +227,7 @@ def test_that_bad_input_is_named(design, times, radius, error, message):
         Experiment("x", design, times, radius)
 
 
-def test_that_a_motion_of_other_frames_is_named():
+def test_that_a_motion_of_other_frames_is_refused():
     with pytest.raises(
         ShapeError, match=r"Experiment 'x': expected the motion of 3 frames"
     ):
