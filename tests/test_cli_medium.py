@@ -136,10 +136,10 @@ def test_that_a_campaign_is_of_one_medium(tmp_path, said_by):
     )
     assert "note.medium.density.value" in said
     path = write_shot(tmp_path, {"density": 1150, "temperature": 310})
-    assert "this campaign assumed its temperature" in said_by(
+    assert "states a temperature of 310 K" in said_by(
         [*base, *rest, *f"--resume --medium density=1150:10 --tell {path}".split()], 2
     )
-    path = write_shot(tmp_path, {"density": 1140})
+    path = write_shot(tmp_path, {"density": 1140, "pressure": 101325})  # as assumed
     assert "Stated twice, density: 1150 +- 10 (--medium) and 1140" in said_by(
         [*base, *rest, *f"--resume --medium density=1150:10 --tell {path}".split()]
     )

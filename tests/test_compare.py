@@ -195,8 +195,13 @@ def test_that_doubtful_results_are_compared_with_a_caution():
         "the intervals of gel (0.3, 0.0) are not reliable, since their computation failed"
         in text
     )
-    same = gel((0.3, 0.0), 0.1)
-    assert "their data are not independent" in " ".join(compare(same, same).cautions)
+
+
+def test_that_two_results_of_the_same_files_have_no_bayes_factor():
+    files = [{"name": "gel.csv", "sha256": "bd67"}]
+    found = compare(*(gel((0.3, y), 0.1, files=files) for y in (0.0, 0.1)))
+    assert (found.verdict, found.log_bayes_factor) == ("undecided", None)
+    assert "their data are not independent" in found.reason
 
 
 def test_that_a_comparison_is_a_table_and_a_document():

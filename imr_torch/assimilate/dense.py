@@ -18,7 +18,6 @@ def dense_curve(
     simulator: Simulator,
     *,
     points: int = 600,
-    refinement: int = 8,
 ) -> tuple[Float[Tensor, "experiments points"], Float[Tensor, "experiments points"]]:
     """The fitted curve at so many times that a collapse is drawn round: two ``E x D`` tensors, t*
     and R/Rmax.
@@ -29,12 +28,11 @@ def dense_curve(
         simulator: makes the bubbles.
         points: ``D``, evenly along the polygon of the curve in a frame as wide as the record and as
             high as Rmax; 600 leave no corner at the size of a page.
-        refinement: times as many, evenly in time, at which the curve is computed to choose them
-            from; with 8 a record of four collapse times has a time each .001 t*.
     """
     last = torch.where(batch.mask, batch.times, 0.0).amax(1, keepdim=True)
     first = batch.times[:, :1].clamp_max(0.0)
-    share = linspace(0.0, 1.0, refinement * points)
+    # of eight times as many, evenly in time: of a record of four collapse times one each .001 t*
+    share = linspace(0.0, 1.0, 8 * points)
     times = first + (last - first) * share
     shifts = fit.nuisances * batch.nuisance_sds
     curve = predict(simulator, fit.parameters(fit.mean), batch, shifts, times=times)

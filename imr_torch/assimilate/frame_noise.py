@@ -200,9 +200,7 @@ def infer_frame_noise(
     )
 
 
-def frame_motions(
-    near: Neighbourhood, *, jitter: float = 0.15, nodes: int = 5
-) -> ExperimentFrames:
+def frame_motions(near: Neighbourhood, *, jitter: float = FIRST_JITTER) -> ExperimentFrames:
     """How far each fitted bubble moves from frame to frame, R*: the standard deviation of its radius
     over normal errors of a frame's time, ``jitter`` of the spacing of frames, over ``jitter``.
 
@@ -211,7 +209,6 @@ def frame_motions(
     Args:
         near: one fitted point; its batch holds curves only.
         jitter: size of the error for which it is right; beside a collapse it falls with the size.
-        nodes: of Gauss-Hermite quadrature.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, wide_prior
@@ -226,7 +223,7 @@ def frame_motions(
     """
     posterior = near.posterior
     batch = posterior.batch
-    errors, weights = (torch.from_numpy(x) for x in hermegauss(nodes))
+    errors, weights = (torch.from_numpy(x) for x in hermegauss(5))
     spacings = torch.stack([e.times.diff().median() for e in batch.curves])
     times = batch.times[..., None] + jitter * spacings[:, None, None] * errors
     # not before the first frame, and no two alike
@@ -239,7 +236,7 @@ def frame_motions(
         near.point.nuisances * batch.nuisance_sds,
         times=rising,
     )
-    radius = radius.gather(1, order.argsort(1)).unflatten(1, (-1, nodes))
+    radius = radius.gather(1, order.argsort(1)).unflatten(1, (-1, 5))
     weights = weights / weights.sum()
     mean = radius @ weights
     return ((radius - mean[..., None]).square() @ weights).sqrt() / jitter

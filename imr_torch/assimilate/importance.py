@@ -76,14 +76,12 @@ def largest_shape(count: int) -> float:
     return min(1.0 - 1.0 / math.log10(max(count, 2)), 0.7)
 
 
-def are_reliable(
-    pareto_k: float, effective_samples: float, samples: int, *, fewest: float = 20.0
-) -> bool:
-    """Whether estimates from weighted draws are reliable: a light tail, and ``fewest`` effective
+def are_reliable(pareto_k: float, effective_samples: float, samples: int) -> bool:
+    """Whether estimates from weighted draws are reliable: a light tail, and twenty effective
     samples or a tenth of all.
     """
     return pareto_k <= largest_shape(samples) and effective_samples >= max(
-        fewest, 0.1 * samples
+        20.0, 0.1 * samples
     )
 
 

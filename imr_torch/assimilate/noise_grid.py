@@ -9,6 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from operator import attrgetter
 
 import torch
 from torch import Tensor
@@ -25,6 +26,8 @@ from imr_torch.assimilate.posterior import Neighbourhood
 from imr_torch.float64 import ones, tensor, zeros
 from imr_torch.observe import Noise, NoiseLaws
 from imr_torch.observe.noise import steady_variance
+
+_COLUMNS = ("slope", "drift", "floor", "edge", "jitter")  # of a law, in a table of laws
 
 
 @dataclass(frozen=True)
@@ -174,7 +177,7 @@ class NoiseGrid:
     Args:
         curves: of each fit.
         prior: of the law.
-        laws: ``L x 5`` tensor: slope, drift, floor, edge, jitter; at scale 1.
+        laws: ``L x 5`` tensor, columns :data:`_COLUMNS`; at scale 1.
         deviations: ``D x 2`` tensor: amount and duration of the smooth deviation; the first is none.
         log_prior: ``J`` tensor.
     """
@@ -221,19 +224,16 @@ class NoiseGrid:
         laws = self.laws.repeat_interleave(len(self.deviations), 0)
         return torch.cat((laws, self.deviations.repeat(len(self.laws), 1)), 1)
 
-    def weigh_combinations(
-        self, factors: Tensor, *, among: Tensor | None = None, at_once: int = 1500
-    ) -> Tensor:
+    def weigh_combinations(self, factors: Tensor, *, among: Tensor | None = None) -> Tensor:
         """``3 x J`` tensor: log weights of all combinations, or of those of some numbers, their
-        scales integrated out, and log scales with standard deviations; so many are filtered side by
-        side.
+        scales integrated out, and log scales with standard deviations.
         """
         chosen = torch.arange(len(self.values)) if among is None else among
         values = self.values[chosen]
         level = _mean_variance(self.curves, self.laws, factors)
         level = level.repeat_interleave(len(self.deviations))[chosen]
         parts = []
-        for some, its in zip(values.split(at_once), level.split(at_once), strict=True):
+        for some, its in zip(values.split(1500), level.split(1500), strict=True):
             local = [c.describe_locally(some, factors, its) for c in self.curves]
             scales, sds = best_scales(local)
             parts.append((scales, sds, sum_marginals(local, scales)))
@@ -303,9 +303,7 @@ class NoiseGrid:
         tried = [law]
         for size in self.prior.misfits:
             tried.append(replace(law, floor=math.hypot(law.floor, size / law.scale)))
-        amounts = law.scale * tensor(
-            [(x.slope, x.drift, x.floor, x.edge, x.jitter) for x in tried]
-        )
+        amounts = law.scale * tensor([attrgetter(*_COLUMNS)(x) for x in tried])
         without_deviation = tensor([(0.0, 1.0)]).expand(len(tried), -1)
         values = torch.cat((amounts, without_deviation), 1)
         level = ones(len(tried))
@@ -341,9 +339,7 @@ class NoiseGrid:
             replace(
                 self.prior.law,
                 scale=math.exp(centre),
-                **dict(
-                    zip(("slope", "drift", "floor", "edge", "jitter"), law, strict=True)
-                ),
+                **dict(zip(_COLUMNS, law, strict=True)),
             )
             for centre, law in zip(centres.tolist(), self.laws[kept].tolist(), strict=True)
         ]

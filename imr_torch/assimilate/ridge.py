@@ -91,7 +91,6 @@ def _follow_side(
     posterior: Posterior,
     *,
     fall: float = 8.0,
-    attempts: int = 24,
     shortest: float = 1.0 / 16.0,
     most_bend: float = 1.0,
     lost: float = 3.0,
@@ -104,7 +103,6 @@ def _follow_side(
         posterior: of the model.
         fall: nats by which the profile falls at the end; what lies beyond holds less than a
             thousandth of the probability.
-        attempts: most points that are tried.
         shortest: distance between points, over that of the first step, at which it is given up.
         most_bend: nats by which a point may lie off the straight line through the two before, so
             that kernels overlap.
@@ -116,7 +114,7 @@ def _follow_side(
     turn = torch.zeros_like(along)
     longest = length = float(axis.norm())
     least = optimum.cost
-    for _ in range(attempts):
+    for _ in range(24):  # points are tried at most
         ahead = normalize(along + length * turn, dim=0)
         point = _fit_across(points[-1].move_gel(length * ahead), ahead, posterior)
         step = point.point.gel - points[-1].point.gel
@@ -144,15 +142,14 @@ def _fit_across(
     along: Controls,
     posterior: Posterior,
     *,
-    passes: int = 4,
     fitted_within: float = 0.3,
 ) -> _RidgePoint:
     """A point after Gauss-Newton steps across the ridge, with the cost predicted from its local
-    sensitivities: ``passes`` at most, fewer where the next one is predicted to lower the cost by
+    sensitivities: four at most, fewer where the next one is predicted to lower the cost by
     less than ``fitted_within`` nats, which weights repair.
     """
     across = _normal_plane(along)
-    for _ in range(passes):
+    for _ in range(4):
         near = posterior.neighbourhood(guess.point)
         if not torch.isfinite(near.prediction).all():
             return replace(guess, promised=math.inf)

@@ -53,7 +53,6 @@ def predictive_band(
     draws: int = 100,
     seed: int = 0,
     times: Tensor,
-    noise_levels: int = 21,
 ) -> Tensor:
     """Posterior predictive quantiles (5, 50, 95 %) of single frames, over gel and noise: a ``3 x E
     x T`` tensor, R/Rmax.
@@ -66,7 +65,6 @@ def predictive_band(
         draws: posterior draws.
         seed: of the draws.
         times: ``E x T`` tensor, dimensionless, increasing.
-        noise_levels: quantiles of the noise that are taken with each draw.
 
     >>> import torch
     >>> from imr_torch import PolytropicSimulator, reference_case
@@ -89,7 +87,7 @@ def predictive_band(
     shifts = (fit.nuisances * batch.nuisance_sds).expand(draws, -1, -1)
     prediction = predict(simulator, part.parameters(controls), batch, shifts, times=times)
     # noise at its quantiles, not at random numbers, so that the band is smooth
-    levels = (arange(noise_levels) + 0.5) / noise_levels
+    levels = (arange(21) + 0.5) / 21  # quantiles of the noise, with each draw
     noise = torch.special.ndtri(levels)
     laws = None if fit.sample is None else fit.sample.noise_laws(draws)
     if laws is None:

@@ -256,11 +256,11 @@ def run_batch(
             keep_result(shot, earlier)
         else:
             wanted.append(shot)
-    if progress:
-        done = sum(row.get("status", FAILED) != FAILED for row in rows.values())
-        progress(
-            f"{len(rows)} shot(s) in {len(files)} file(s): {len(wanted)} to do, {done} done before"
-        )
+    done = sum(row.get("status", FAILED) != FAILED for row in rows.values())
+    report_progress(
+        progress,
+        f"{len(rows)} shot(s) in {len(files)} file(s): {len(wanted)} to do, {done} done before",
+    )
     if executor is None:
         finished = ((shot, characterize_shot(shot.traces, options)) for shot in wanted)
     else:

@@ -181,12 +181,10 @@ def compare(
         _compare_parameter(name, *draws) for name in a.posterior[of_a].of_gel
     )
     value, reason = _log_bayes_factor(a, b, asked)
-    cautions = [*list_cautions(a, of_a), *list_cautions(b, of_b)]
-    if a.document == b.document:
-        cautions.append("the two results are the same, so their data are not independent")
+    cautions = (*list_cautions(a, of_a), *list_cautions(b, of_b))
     misfits = tuple(result.source for result in (a, b) if result.explained is False)
     return Comparison(
-        (a.source, b.source), chosen, parameters, value, reason, tuple(cautions), misfits
+        (a.source, b.source), chosen, parameters, value, reason, cautions, misfits
     )
 
 
@@ -234,6 +232,12 @@ def _log_bayes_factor(
     Over several models, ``sum_m P(m | a) P(m | b) / P(m) B_m``, where ``B_m`` is the factor within
     a model.
     """
+    read = a.document.get("files")
+    if read and read == b.document.get("files"):
+        return (
+            None,
+            "both results are of the same curves, so their data are not independent",
+        )
     if a.prior is None or b.prior is None:
         return None, "a result does not hold its prior; characterise the gel again"
     every = len(models) > 1

@@ -187,13 +187,13 @@ def _run_real(campaign: Campaign, args: Namespace) -> tuple[Sequence[Proposal], 
                 raise
             failed.append((path.name, error))
             continue
-        new = [name for name in medium.sources if name not in args.gel_medium.sources]
-        if new:
-            raise InputDataError(
-                f"A told file states the medium ({medium.report().splitlines()[0]}), and this "
-                f"campaign assumed its {label(new[0])}; tell the file to a campaign that begins with "
-                "--medium and these values."
-            )
+        for name in medium.sources:
+            assumed = args.gel_medium.value(name)
+            if name not in args.gel_medium.sources and medium.value(name) != assumed:
+                raise InputDataError(
+                    f"A told file states a {label(name)} of {medium.value(name)}, where this "
+                    f"campaign assumed {assumed}; begin a campaign with --medium and this value."
+                )
         for note in medium.notes:
             print(note)
         experiments += prepared.experiments

@@ -21,7 +21,7 @@ from imr_torch.gap import (
 )
 from imr_torch.gap.document import laboratory_document
 from imr_torch.gap.hypotheses import Inquiry
-from imr_torch.material import material, wide_prior
+from imr_torch.material import wide_prior
 from imr_torch.observe import (
     Experiment,
     ExperimentBatch,
@@ -69,9 +69,7 @@ def _holds_sets(args: Namespace) -> bool:
 
 
 def _estimates_noise(args: Namespace) -> bool:
-    return (
-        args.noise or ("published" if _holds_sets(args) else "estimated")
-    ) == "estimated"
+    return args.noise == "estimated" or not (args.noise or _holds_sets(args))
 
 
 def _compare_files(args: Namespace) -> None:
@@ -161,19 +159,11 @@ def _choose_effects(args: Namespace) -> tuple[Effect, ...]:
 
     An effect that was asked for by name must fit the base model.
     """
-    try:
-        material(args.base)
-    except InputDataError as error:
-        raise InputDataError(f"--base: u{str(error)[1:]}") from error
     chosen = library(args.effects, without=args.without or [], base=args.base)
-    lost = [
-        name
-        for name in args.effects or []
-        if name not in {effect.name for effect in chosen}
-    ]
+    lost = set(args.effects or ()) - {effect.name for effect in chosen}
     if lost:
         raise InputDataError(
-            f"--effects: {lost[0]!r} cannot be put on the base model {args.base!r}, which has it "
+            f"--effects: {min(lost)!r} cannot be put on the base model {args.base!r}, which has it "
             "or lacks what it acts on."
         )
     if not chosen:

@@ -439,6 +439,7 @@ def sections(document: Document) -> list[Section]:
     """The diagnosis as sections, in the order of the questions."""
     folded = ["What the records show without a model", "The medium"]
     folded += ["Have the fits converged?"] * document["converged"]
+    folded += ["What would these data not show?"] * document["gap"]
     found = []
     for block in describe(document).split("\n\n")[:-1]:
         heading, *sentences = map(str.strip, block.splitlines())

@@ -56,9 +56,9 @@ _GRID = (
     math.inf,
 )
 _LEVEL = 0.01  # of a false onset; that there is a gap at all is not decided here
-# time with a search of designs over that without, where the noise is known and where it was inferred,
-# by which all else takes longer
-_SEARCH = (4.0, 2.0)
+# time over what is planned where the noise is known and where it was inferred (all else takes longer
+# then), with a search of designs; and without one, where the noise was inferred and a cause is named
+_SEARCH, _SHORT = (4.0, 3.0), 0.6
 _NAMED = ("effect", "class")  # verdicts that name a cause
 _SURE = 0.95  # probability of the leading cause from which on no shot is designed
 
@@ -165,7 +165,9 @@ def examine(
     # part of the time until a design is searched
     judged = 0.3 if searching else 0.9 if report.verdict in _NAMED else 0.6
     why = "the cause is not sure" if searching else ""
-    size = _SEARCH[report.batch.noise_laws is not None] if searching else 1.0
+    inferred = report.batch.noise_laws is not None
+    short = inferred and report.verdict != OTHER
+    size = _SEARCH[inferred] if searching else (1.0, _SHORT)[short]
     progress = within(progress, 0.0, 1.0, name=why, size=size)
     text = "location, shrinkage, next design, what is missing"
     report_progress(progress, text, stage="location", part=0.0)

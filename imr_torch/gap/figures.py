@@ -206,8 +206,9 @@ def plot_tests(tests: Sequence[Document]) -> Axes:
     ax = _bars([row["name"] for row in shown], strength, texts, colors)
     ax.axvline(limit, color=DATA, ls="--", lw=1)
     ax.set(xlabel="$-\\log_{10} p$  (dashed: 4 % over all)")
-    ax.set(xlim=(0.0, 10.0 * max(*strength, limit)))
-    ax.set_xscale("symlog", linthresh=_LINEAR)
+    ax.set_xscale("asinh", linear_width=_LINEAR)
+    ax.set_xticks((0.0, 3.0, 10.0, 100.0), ("0", "3", "10", "100"))
+    ax.set(xlim=(0.0, 3.0 * max(*strength, limit)))
     return ax
 
 
@@ -225,7 +226,7 @@ def plot_onset(found: Document) -> Axes:
     if found["t"] is not None:
         label = f"first detected: {found['phase']}, t* = {found['t']:.2f}"
         ax.axvline(found["t"], color=TRUTH, lw=1.5, label=label)
-    ax.set_yscale("symlog", linthresh=_LINEAR)
+    ax.set_yscale("asinh", linear_width=_LINEAR)
     ax.set(xlabel="frames up to $t^*$", ylabel="$-\\log_{10} p$")
     ax.set(ylim=(0.0, 2.0 * max(*strength, _LINEAR)))
     add_legend(ax)
@@ -271,7 +272,7 @@ def plot_missing_pressure(shots: Sequence[Document], *, most: int = 3) -> Axes:
     ax.set_title(
         f"the first {most} of {len(shots)} shots" if len(shots) > most else "", fontsize=9
     )
-    ax.set_yscale("symlog", linthresh=10.0)
+    ax.set_yscale("asinh", linear_width=10.0)
     ax.set(xlabel="time (us)", ylabel="missing pressure (kPa)")
     add_legend(ax)
     return ax

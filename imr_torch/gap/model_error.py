@@ -11,12 +11,13 @@ about a fit, with everything fitted linear (``F``), all that may be missing acts
 and is constrained by the residual ``r``. The columns of ``B`` are, inside the equation of motion,
 each effect of the library that the fit does not hold, generic stress laws and pressure pulses;
 outside it smooth errors of the radius and of time, alike in all curves and each curve's own. Each
-is of its usual size, or of three times that where the residual asks for it; misfit that even these
-leave counts as noise. What the gel would absorb of ``B w`` widens its interval, as systematic
-errors do in a budget of uncertainties (JCGM 100:2008, type B). That is of first order. How far an
-effect may move the gel beyond it is taken from the library: half of the unknown are the gels beside
-all hypotheses that were fitted, those whose curves come nearest more than others; and where no
-effect of the library is enough, the unknown moves the gel half as far again as all of these.
+is of its usual size, or of three times that where the residual asks for it (without a gap all of
+them together are as large as three of usual size); misfit that even these leave counts as noise.
+What the gel would absorb of ``B w`` widens its interval, as systematic errors do in a budget of
+uncertainties (JCGM 100:2008, type B). That is of first order. How far an effect may move the gel
+beyond it is taken from the library: half of the unknown are the gels beside all hypotheses that
+were fitted, those whose curves come nearest more than others; and where no effect of the library is
+enough, the unknown moves the gel half as far again as all of these.
 
 A bound by geometry alone stands beside it: an error as large as the residual beyond noise, wholly
 in the direction that moves a parameter most (Plumlee, J. Am. Stat. Assoc. 112, 2017).
@@ -57,6 +58,9 @@ FOUND = 0.9
 """Chance with which the size that is said would have been found."""
 _PLAUSIBLE = 4.0  # usual sizes beyond which an effect is said not to be seen here
 _SIZES = (1.0, 3.0)  # of what is missing, in usual sizes
+# size of all that hides where there is no gap, in usual sizes of one effect: measured with single curves
+# whose effect does not show
+_HIDDEN = 3.0
 _CAMERA = 0.003  # usual size of a smooth error of the radius, in R*
 _CAMERA_TIME = 0.003  # of time, in t*
 # least share of an unknown effect where one is named: measured with effects that were withheld, a
@@ -203,16 +207,18 @@ def _with_unknown(
     report: GapReport, count: int, source: torch.Generator, *, inside: bool
 ) -> list[tuple[ModelFit, DrawnControls]]:
     """Controls drawn from error budgets about the base model's fit and those of the winners, each of
-    both sizes, in proportion to their prior and evidence.
+    several sizes, in proportion to their prior and evidence.
 
     Misfit that even the best of them leaves counts as noise.
     """
+    hidden = min(1.0, _HIDDEN / math.sqrt(len(report.left.effects)))
+    sizes = _SIZES if report.found else (hidden,)
     places = [(report.null, report.left, 0.0)]
     places += [(step.winner_fit, step.left, math.log(PRIOR_TWO)) for step in report.steps]
     budgets = [
         (fit, prior, missing_system(left, inside=inside).solve(size))
         for fit, left, prior in places
-        for size in _SIZES
+        for size in sizes
     ]
     frames = int(report.batch.mask.sum())
     least = max(1.0, min(refit.misfit for _, _, refit in budgets) / frames)

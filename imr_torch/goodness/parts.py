@@ -120,7 +120,6 @@ def compare_parts(
     batch: ExperimentBatch,
     simulator: Simulator,
     *,
-    fewest: int = 3,
     widened: float = 1.02,
 ) -> PartsTest:
     """Compare the gel of all frames with that of all but one part.
@@ -129,7 +128,6 @@ def compare_parts(
         fit: the fit of all frames.
         batch: its data, curves only.
         simulator: makes the bubbles, with the solver steps of the fit.
-        fewest: frames below which a part is none.
         widened: factor by which leaving a part out widens an interval, below which the part does
             not tell of the parameter.
 
@@ -171,7 +169,9 @@ def compare_parts(
     parts = []
     for name, frames in inside.items():
         left = batch.mask & ~frames
-        if min(int(frames.sum()), int(left.sum(1).min())) < fewest:
+        if (
+            min(int(frames.sum()), int(left.sum(1).min())) < 3
+        ):  # frames: such a part is none
             continue
         wider, start = refit_linearly(left)
         moved, without, ended = fit_frames(fit, batch, simulator, left, start=start)

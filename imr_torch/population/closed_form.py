@@ -149,7 +149,6 @@ def grid_scatters(
     *,
     steps: Sequence[int] = (1, 400, 48, 20, 11),
     top: float = 6.0,
-    chunk: int = 2000,
 ) -> Cells:
     """The grid with its prior and the evidence of the shots.
 
@@ -159,7 +158,6 @@ def grid_scatters(
         scale: scale of the half-normal prior of each scatter; 0 where it does not vary.
         steps: cells along each axis, by the number of axes.
         top: scales of the prior up to which the grid reaches.
-        chunk: cells at once.
 
     >>> import torch
     >>> from imr_torch import wide_prior
@@ -189,7 +187,7 @@ def grid_scatters(
         1
     ) + width.log().sum(1)
     parts = [
-        shots.given(x, prior.mean, prior.precision).evidence for x in middle.split(chunk)
+        shots.given(x, prior.mean, prior.precision).evidence for x in middle.split(2000)
     ]
     return Cells(low, width, log_prior, torch.cat(parts))
 

@@ -117,7 +117,6 @@ def sample_population(
     *,
     enough: float = 0.15,
     refits: int = 3,
-    chunk: int = 2000,
 ) -> WeightedPopulation:
     """Weighted draws, with Gaussian parts that are fitted again as long as that helps.
 
@@ -127,13 +126,12 @@ def sample_population(
         source: of random numbers.
         enough: effective share of the draws below which the Gaussian parts are fitted again.
         refits: how often they are, at most.
-        chunk: draws at once.
     """
 
     def draw_weighted(gaussian: GaussianShots) -> WeightedPopulation:
         scatter, log_ratio = _draw_scatters(problem, gaussian, draws, source)
         parts = [
-            _draw_gels(problem, gaussian, rows, source) for rows in scatter.split(chunk)
+            _draw_gels(problem, gaussian, rows, source) for rows in scatter.split(2000)
         ]
         centre, shots, log_weights = (torch.cat(x) for x in zip(*parts, strict=True))
         return WeightedPopulation(scatter, centre, shots, log_weights + log_ratio[:, None])

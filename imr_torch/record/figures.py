@@ -40,9 +40,9 @@ def record_figure(record: Mapping[str, Any]) -> Figure:
     return figure
 
 
-def _plot_pressure(record: Mapping[str, Any], ax: Axes, *, most_bands: int = 6) -> None:
+def _plot_pressure(record: Mapping[str, Any], ax: Axes) -> None:
     """Wall pressure over radius of the first cycle of each shot, with 90 % bands, which hide one
-    another beyond ``most_bands`` shots.
+    another beyond six shots.
     """
     shots = [
         (cycle, "--" if shot["stands_out"] else "-")
@@ -58,7 +58,7 @@ def _plot_pressure(record: Mapping[str, Any], ax: Axes, *, most_bands: int = 6) 
                 continue
             levels, p, sd = (floats(cycle[key]) for key in ("levels", name, f"{name}_sd"))
             ax.plot(levels, p, color=color, lw=0.8, ls=style)
-            if len(shots) <= most_bands:
+            if len(shots) <= 6:
                 ax.fill_between(
                     levels, p - 1.64 * sd, p + 1.64 * sd, color=color, alpha=0.12, lw=0
                 )

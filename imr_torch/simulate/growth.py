@@ -98,17 +98,16 @@ def _join_halves(
     parameters: Tensor,
     designs: Tensor,
     times: Tensor,
-    tiny: float = 1e-9,
 ) -> Solution:
-    """Each half is asked for its own times; those of the other are at the maximum, a ``tiny`` part
-    of them away.
+    """Each half is asked for its own times; those of the other are at the maximum, a billionth of
+    them away.
     """
     odd = PARAMETERS.index(sorted({name for term in TERMS for name in term.odd or ()}))
     signs = torch.ones(len(PARAMETERS), dtype=parameters.dtype)
     signs[odd] = -1.0
     early = times < 0.0
-    after = forwards(parameters, designs, torch.where(early, tiny * times, times))
-    mirrored = torch.where(early, -times, -tiny * times).flip(-1)
+    after = forwards(parameters, designs, torch.where(early, 1e-9 * times, times))
+    mirrored = torch.where(early, -times, -1e-9 * times).flip(-1)
     before = backwards(parameters * signs, designs, mirrored)
     return replace(
         after,

@@ -355,7 +355,6 @@ def _share(
     owns: Sequence[int],
     *,
     of_gel: bool,
-    sweeps: int = 3,
 ) -> tuple[Tensor, Float[Tensor, "gels columns columns"]]:
     """Log evidence of one cause in all gels, and what is left of each at its most probable sizes.
 
@@ -367,7 +366,6 @@ def _share(
         causes: that may be common.
         owns: places of the sizes of the gels' own stresses.
         of_gel: whether the cause is one of the gel, or none of it.
-        sweeps: over all gels.
     """
     prior = causes.log_prior(of_gel=of_gel)
     lefts = torch.stack([left[:, owns].flatten(0, 1) for left, _ in tables])
@@ -375,7 +373,7 @@ def _share(
     gels = torch.arange(len(tables))
     places = logs.argmax(1)
     total = joint = zeros(())
-    for gel in gels.repeat(sweeps):
+    for gel in gels.repeat(3):
         others = gels[gels != gel]
         whole = lefts[gel] + lefts[others, places[others]].sum(0)
         weighed = logs[gel] + (causes.weigh(whole) + prior).logsumexp(-1)

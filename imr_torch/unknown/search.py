@@ -139,10 +139,9 @@ class KindSearch:
         inside: bool = True,
         lead: KindFit | None = None,
         settled: tuple[float, float] = (1.0, 3e-4),
-        halvings: int = 6,
         rounds: int = 8,
     ) -> KindFit:
-        """A kind, each step halved until it descends.
+        """A kind, each step halved until it descends, five times at most.
 
         Args:
             columns: of the kind.
@@ -150,7 +149,6 @@ class KindSearch:
             lead: a fit that explains the data, at whose trajectories it begins if it can make them,
                 else at those of the base model.
             settled: nats that a further round must gain, and their share of all that were gained.
-            halvings: lengths of a step that are tried.
             rounds: trajectories that are simulated again, at most.
         """
         still = self.still if inside else self.without_pressure(self.still)
@@ -163,7 +161,7 @@ class KindSearch:
         first = self._cost(still, found.size)
         for _ in range(rounds - 1):
             before = self._cost(found.state, found.size)
-            for number in range(halvings):
+            for number in range(6):
                 moved = found.state.towards(found.aim, 0.5**number)
                 gain = before - self._cost(moved, found.size)
                 if gain > 0.0:  # not where a bubble failed: NaN is not larger
