@@ -175,11 +175,9 @@ def _fit_across(
     return guess
 
 
-def _place_kernels(
-    points: list[_RidgePoint], *, overlap: float = 0.7, wide_share: float = 0.1
-) -> Kernels:
+def _place_kernels(points: list[_RidgePoint], *, overlap: float = 0.7) -> Kernels:
     """A kernel on each point of a ridge, in order, along it as long as ``overlap`` of the distance
-    of its neighbours, and a wide one about all with a probability of ``wide_share``.
+    of its neighbours, and a wide one about all with a probability of .1.
     """
     gels = torch.stack([p.point.gel for p in points])
     steps = gels.diff(dim=0)
@@ -201,7 +199,7 @@ def _place_kernels(
     mean, along = weighted_moments(gels, weights)
     chol = torch.linalg.cholesky(along + (weights[:, None, None] * flat).sum(0))
     kernels = Kernels(gels, weights, chols, mean, chol, precisions=hessian)
-    return kernels.with_wide_kernel(wide_share)
+    return kernels.with_wide_kernel(0.1)
 
 
 def _normal_plane(way: Controls) -> Float[Tensor, "controls across"]:

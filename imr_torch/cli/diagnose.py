@@ -21,7 +21,7 @@ from imr_torch.gap import (
 )
 from imr_torch.gap.document import laboratory_document
 from imr_torch.gap.hypotheses import Inquiry
-from imr_torch.material import wide_prior
+from imr_torch.material import material, wide_prior
 from imr_torch.observe import (
     Experiment,
     ExperimentBatch,
@@ -159,6 +159,10 @@ def _choose_effects(args: Namespace) -> tuple[Effect, ...]:
 
     An effect that was asked for by name must fit the base model.
     """
+    try:
+        material(args.base)
+    except InputDataError as error:
+        raise InputDataError(f"--base: {error}") from None
     chosen = library(args.effects, without=args.without or [], base=args.base)
     lost = set(args.effects or ()) - {effect.name for effect in chosen}
     if lost:

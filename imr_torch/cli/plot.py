@@ -14,7 +14,13 @@ from imr_torch.cli.options import FORMATS
 from imr_torch.errors import InputDataError, in_one_line
 from imr_torch.files import write_atomically
 from imr_torch.progress import Progress, report_progress
-from imr_torch.results import NamedFigure, draw_figures, read_document, write_page
+from imr_torch.results import (
+    NamedFigure,
+    document_report,
+    draw_figures,
+    read_document,
+    write_page,
+)
 
 matplotlib.use("Agg")  # commands write files and open no window
 
@@ -35,11 +41,13 @@ def run_command(args: Namespace) -> None:
     document = read_document(args.file)
     folder = Path(args.out) if args.out else Path(args.file).parent
     try:
+        # what fails is to fail before figures are drawn
+        report = document_report(document) if args.html else ""
         failed = save_figures(draw_figures(document), folder, formats)
         if failed:
             raise InputDataError(f"{'; '.join(failed)}; make the result anew.")
         if args.html:
-            write_page(document, args.html)
+            write_page(document, args.html, report=report)
     except InputDataError as error:
         raise InputDataError(f"{args.file}: {error}") from None
 

@@ -271,16 +271,16 @@ class Distortion:
         return radius
 
     def _average_exposure(
-        self, times: Tensor, simulate: Callable[[Tensor], Tensor], *, shortest: float = 1e-6
+        self, times: Tensor, simulate: Callable[[Tensor], Tensor]
     ) -> Tensor:
         """Mean over an exposure centred on each frame, by Gauss-Legendre; one call for the frames
         and all nodes.
 
         NaN where an exposure reaches back to before the bubble is simulated. One below
-        ``shortest``, in t*, is taken as an instant: no frame can tell it from none, and its nodes
+        1e-6, in t*, is taken as an instant: no frame can tell it from none, and its nodes
         may be one number.
         """
-        instant = self.blur < shortest
+        instant = self.blur < 1e-6
         early = times[..., 0] - 0.5 * self.blur < EARLIEST
         # instants, and what reaches too far back, only need distinct times
         blur = torch.where(instant | early, 1e-3, self.blur)

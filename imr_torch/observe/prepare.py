@@ -167,14 +167,12 @@ def prepare(
     )
 
 
-def _thin_dense_record(
-    trace: RadiusTrace, time_scale: float, most: int, *, widest: float = 0.02
-) -> RadiusTrace:
-    """Every n-th frame of a record of more than ``most`` frames, none further apart than ``widest``
+def _thin_dense_record(trace: RadiusTrace, time_scale: float, most: int) -> RadiusTrace:
+    """Every n-th frame of a record of more than ``most`` frames, none further apart than .02
     in t*.
     """
     spacing = float(trace.time_s.diff().median()) / time_scale
-    stride = min(-(-len(trace) // most), int(widest / spacing))
+    stride = min(-(-len(trace) // most), int(0.02 / spacing))
     if stride < 2:
         return trace
     frames = {
@@ -198,11 +196,9 @@ def _first_collapse(
     return math.inf if first > latest >= 2.0 * float(came_down) else first
 
 
-def _borrow_rest_radii(
-    landmarks: dict[str, Landmarks], *, least_sd: float = 0.4
-) -> list[str]:
+def _borrow_rest_radii(landmarks: dict[str, Landmarks]) -> list[str]:
     """Gives curves whose record does not hold R_inf that of the others, over Rmax and with an error
-    of ``least_sd`` of it or more, and says so.
+    of .4 of it or more, and says so.
     """
     ratios = [
         m.rest_radius_m / m.max_radius_m
@@ -213,7 +209,7 @@ def _borrow_rest_radii(
     if not ratios or not lacking:
         return []
     value = fmean(ratios)
-    sd = max(least_sd * value, pstdev(ratios))
+    sd = max(0.4 * value, pstdev(ratios))
     for name in lacking:
         top = landmarks[name].max_radius_m
         landmarks[name] = replace(

@@ -236,7 +236,6 @@ def _weigh_robustly(
     weights: Tensor,
     *,
     bounded_from: float = 1.5,
-    iterations: int = 12,
 ) -> tuple[Tensor, Tensor]:
     """Huber's weights times those given, and leave-one-out residuals.
 
@@ -249,11 +248,10 @@ def _weigh_robustly(
         weights: of the draws.
         bounded_from: standard deviations of the residuals beyond which a draw's part in the fit is
             bounded (Huber, Ann. Math. Stat. 35, 1964).
-        iterations: of weights and residuals.
     """
     robust = weights
     left = values
-    for _ in range(iterations):
+    for _ in range(12):
         root = robust.sqrt()
         Q, R = torch.linalg.qr(root[:, None] * basis)
         solved = torch.linalg.solve_triangular(

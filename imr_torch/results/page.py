@@ -36,9 +36,7 @@ def document_report(document: Document) -> str:
     Shoot We = 400, R_inf* = 0.200 (Rmax = 570 um, R_inf = 114 um)
     expected information gain 3.200 +- 0.100 nats
     """
-    return _fill_template(f"{_check_kind(document)}.txt", **_list_names(document)).strip(
-        "\n"
-    )
+    return _fill_template(f"{_check_kind(document)}.txt", document).strip("\n")
 
 
 def document_page(document: Document, *, title: str = "", report: str = "") -> str:
@@ -60,15 +58,14 @@ def document_page(document: Document, *, title: str = "", report: str = "") -> s
     True
     """
     kind = _check_kind(document)
-    names = _list_names(document)
     figures = draw_figures(document)
     of_curves = [figure for figure in figures if figure.section == "The curves"]
     return _fill_template(
         f"{kind}.html",
-        **names,
+        document,
         title=title,
         drawn=_draw_pictures(figure for figure in figures if figure not in of_curves[6:]),
-        report=report or _fill_template(f"{kind}.txt", **names),
+        report=report or _fill_template(f"{kind}.txt", document),
     )
 
 
@@ -95,10 +92,10 @@ def write_page(
     print(f"wrote {path}")
 
 
-def _fill_template(template: str, **names: Any) -> str:
+def _fill_template(template: str, document: Document, **names: Any) -> str:
     """A template filled in; what the document lacks is named."""
     try:
-        return render(template, **names)
+        return render(template, **_list_names(document), **names)
     except (UndefinedError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputDataError(
             f"the result is not whole ({in_one_line(error)}); make it anew."

@@ -11,6 +11,7 @@ import pytest
 from imr_torch.cli import main
 from imr_torch.files import read_json, write_json
 from imr_torch.labels import file_name, plain
+from imr_torch.material import PARAMETERS
 from imr_torch.results import (
     check_document,
     document_page,
@@ -18,6 +19,7 @@ from imr_torch.results import (
     header,
 )
 from imr_torch.results.figures import curve_figure
+from imr_torch.results.intervals import over_time_figure
 from tests.processes import BROWSER
 from tests.refusals import refusals
 from tests.results import documents
@@ -328,3 +330,24 @@ def test_that_plot_refuses_what_it_cannot_draw(tmp_path, said_by):
     assert "holds no curves or map to draw" in said_by(
         ["plot", str(tmp_path / "r.json")], 2
     )
+
+
+def test_that_a_page_that_cannot_be_made_fails_before_any_figure(
+    document, tmp_path, said_by
+):
+    damaged = {name: value for name, value in document.items() if name != "models"}
+    write_json(tmp_path / "r.json", damaged)
+    asked = f"plot {tmp_path}/r.json --html {tmp_path}/p.html --out {tmp_path}/figures"
+    assert "the result is not whole" in said_by(asked.split(), 2)
+    assert not (tmp_path / "figures").exists()
+
+
+def test_that_the_gel_over_time_is_drawn_stretch_by_stretch():
+    rows = [
+        {"t_star": [at, at + 0.5], "intervals": {"G": [3e3, middle, 9e3]}}
+        for at, middle in ((0.0, 5e3), (0.5, 6e3), (1.0, 8e3))
+    ]
+    (axes,) = over_time_figure(rows, {"G": [4e3, 5e3, 6e3]}).axes
+    plt.close()
+    assert [5.0, 6.0, 8.0] in [list(line.get_ydata()) for line in axes.lines]
+    assert axes.get_ylabel() == PARAMETERS["G"].label
