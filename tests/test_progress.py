@@ -96,11 +96,15 @@ def test_that_more_selections_than_were_expected_take_more_time_and_less_are_don
     clock.now = 40.0
     within(made, 0.0, 1.0, name="first cause")(search)  # half of a selection of 7.5 shares
     assert (
-        "0:40, 37 %, about 1:09 left: causes, first cause, 16 of" in made.describe_state()
+        "0:40, 37 %, about 1:09 left: causes (longer if none is enough), first cause, 16 of"
+        in made.describe_state()
     )
     # the first one and a half
     within(made, 0.5, 1.0, name="second cause", size=2.0)(search)
-    assert "0:40, 60 %, about 0:27 left: causes, second cause" in made.describe_state()
+    assert (
+        "0:40, 60 %, about 0:27 left: causes (longer if none is enough), second"
+        in made.describe_state()
+    )
     within(made, 0.2, 0.4, size=5.0)(search)  # what is done stays done
     assert "0:40, 29 %, about 1:40 left" in made.describe_state()
     made(stage("location", "location"))

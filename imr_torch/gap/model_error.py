@@ -12,7 +12,7 @@ and is constrained by the residual ``r``. The columns of ``B`` are, inside the e
 each effect of the library that the fit does not hold, generic stress laws and pressure pulses;
 outside it smooth errors of the radius and of time, alike in all curves and each curve's own. Each
 is of its usual size, or of three times that where the residual asks for it (without a gap all of
-them together are as large as three of usual size); misfit that even these leave counts as noise.
+them together are as large as two of usual size); misfit that even these leave counts as noise.
 What the gel would absorb of ``B w`` widens its interval, as systematic errors do in a budget of
 uncertainties (JCGM 100:2008, type B). That is of first order. How far an effect may move the gel
 beyond it is taken from the library: half of the unknown are the gels beside all hypotheses that
@@ -60,7 +60,7 @@ _PLAUSIBLE = 4.0  # usual sizes beyond which an effect is said not to be seen he
 _SIZES = (1.0, 3.0)  # of what is missing, in usual sizes
 # size of all that hides where there is no gap, in usual sizes of one effect: measured with single curves
 # whose effect does not show
-_HIDDEN = 3.0
+_HIDDEN = 2.0
 _CAMERA = 0.003  # usual size of a smooth error of the radius, in R*
 _CAMERA_TIME = 0.003  # of time, in t*
 # least share of an unknown effect where one is named: measured with effects that were withheld, a
