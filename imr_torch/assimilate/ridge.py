@@ -114,7 +114,7 @@ def _follow_side(
     turn = torch.zeros_like(along)
     longest = length = float(axis.norm())
     least = optimum.cost
-    for _ in range(24):  # points are tried at most
+    for _ in range(24):  # points, at most
         ahead = normalize(along + length * turn, dim=0)
         point = _fit_across(points[-1].move_gel(length * ahead), ahead, posterior)
         step = point.point.gel - points[-1].point.gel

@@ -57,7 +57,7 @@ _GRID = (
 )
 _LEVEL = 0.01  # of a false onset; that there is a gap at all is not decided here
 # time over what is planned where the noise is known and where it was inferred (all else takes longer
-# then), with a search of designs; and without one, where the noise was inferred and a cause is named
+# then), with a search of designs; and without one, where the noise was inferred and known causes lead
 _SEARCH, _SHORT = (4.0, 3.0), 0.6
 _NAMED = ("effect", "class")  # verdicts that name a cause
 _SURE = 0.95  # probability of the leading cause from which on no shot is designed

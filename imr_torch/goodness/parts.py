@@ -169,9 +169,8 @@ def compare_parts(
     parts = []
     for name, frames in inside.items():
         left = batch.mask & ~frames
-        if (
-            min(int(frames.sum()), int(left.sum(1).min())) < 3
-        ):  # frames: such a part is none
+        # a part of fewer frames is none
+        if min(int(frames.sum()), int(left.sum(1).min())) < 3:
             continue
         wider, start = refit_linearly(left)
         moved, without, ended = fit_frames(fit, batch, simulator, left, start=start)
