@@ -10,6 +10,7 @@ from imr_torch.gap.hypotheses import overdispersion
 from imr_torch.gap.model_error import (
     FOUND,
     _with_known,
+    _with_unknown,
     hidden_effects,
     missing_system,
     model_error,
@@ -47,6 +48,17 @@ def test_that_the_budget_is_that_of_generalised_least_squares(matched):
     assert refit.misfit == pytest.approx(float(square - right @ expected), rel=1e-6)
     log_det = -0.5 * (torch.logdet(covariance) + torch.logdet(information))
     assert refit.log_volume == pytest.approx(float(log_det), abs=1e-5)
+
+
+def test_that_all_that_hides_is_together_as_large_as_two_effects(matched):
+    """Without a gap the draws are those of one budget of that size."""
+    refit = missing_system(matched.left).solve(2.0 / math.sqrt(len(OFFERED)))
+    ((fitted, drawn),) = _with_unknown(matched, 20000, generator(0), inside=True)
+    gel = slice(len(fitted.mean))
+    noise = max(1.0, refit.misfit / int(matched.batch.mask.sum()))
+    sds = refit.root[gel].norm(dim=1) * math.sqrt(noise)
+    assert torch.allclose(drawn.std(0), sds, rtol=0.03)
+    assert torch.allclose(drawn.mean(0), fitted.mean + refit.solution[gel], atol=0.04)
 
 
 def test_that_intervals_with_model_error_hold_those_of_the_right_model(matched):
