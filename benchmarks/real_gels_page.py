@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from benchmarks.real_gels_controls import KNOWN, Record, controls, find_independent, model
 from benchmarks.records import Line, write_table
 from imr_torch.drawing import DATA, MODEL, SECOND, TRUTH
+from imr_torch.gap.document import title
 
 QUANTITIES = {"G": ("kPa", 1e-3), "mu": ("Pa s", 1.0)}
 STYLE = {
@@ -53,6 +54,7 @@ def write_page(rows: list[Line], path: Path, figures: Path) -> None:
         values=KNOWN["values"],
         quantities=QUANTITIES,
         median=median,
+        titles=lambda names: map(title, names),
         rows=rows,
     )
     path.write_text(page + "\n", encoding="utf-8")
