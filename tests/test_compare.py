@@ -197,11 +197,31 @@ def test_that_doubtful_results_are_compared_with_a_caution():
     )
 
 
-def test_that_two_results_of_the_same_files_have_no_bayes_factor():
-    files = [{"name": "gel.csv", "sha256": "bd67"}]
-    found = compare(*(gel((0.3, y), 0.1, files=files) for y in (0.0, 0.1)))
+GEL, COPY, OTHER = (
+    {"name": name, "sha256": content}
+    for name, content in (("gel.csv", "bd67"), ("copy.csv", "bd67"), ("other.csv", "03aa"))
+)
+STATED = {"name": "gel.json", "sha256": "77c1"}
+
+
+@pytest.mark.parametrize(
+    "second", [[GEL], [COPY], [OTHER, GEL]], ids=("same", "copy", "some")
+)
+def test_that_results_with_curves_in_common_have_no_bayes_factor(second):
+    files = [GEL, STATED], second
+    found = compare(
+        *(gel((0.3, y), 0.1, files=f) for y, f in zip((0.0, 0.1), files, strict=True))
+    )
     assert (found.verdict, found.log_bayes_factor) == ("undecided", None)
-    assert "their data are not independent" in found.reason
+    assert "share curves, so their data are not independent" in found.reason
+
+
+def test_that_gels_of_one_stated_medium_have_a_bayes_factor():
+    files = [GEL, STATED], [OTHER, STATED]
+    found = compare(
+        *(gel((0.3, y), 0.1, files=f) for y, f in zip((0.0, 0.1), files, strict=True))
+    )
+    assert found.log_bayes_factor is not None
 
 
 def test_that_a_comparison_is_a_table_and_a_document():

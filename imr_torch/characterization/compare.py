@@ -232,22 +232,22 @@ def _log_bayes_factor(
     Over several models, ``sum_m P(m | a) P(m | b) / P(m) B_m``, where ``B_m`` is the factor within
     a model.
     """
-    read = a.document.get("files")
-    if read and read == b.document.get("files"):
-        return (
-            None,
-            "both results are of the same curves, so their data are not independent",
-        )
+    curves_of_a, curves_of_b = (  # a JSON file states the medium, perhaps of many gels
+        {x["sha256"] for x in result.document.get("files", ()) if ".json" not in x["name"]}
+        for result in (a, b)
+    )
+    if curves_of_a & curves_of_b:
+        return None, "the results share curves, so their data are not independent"
     if a.prior is None or b.prior is None:
         return None, "a result does not hold its prior; characterise the gel again"
     every = len(models) > 1
     titles = {key: a.posterior[own].material.title for key, (own, _) in models.items()}
-    firsts, seconds = (set(keys) for keys in zip(*models.values(), strict=True))
     of_a, of_b, before, other = (
         dict(zip(belief.keys, belief.log_probabilities.tolist(), strict=True))
         for belief in (a.posterior, b.posterior, a.prior, b.prior)
     )
-    if every and not (set(a.prior.keys) == firsts and set(b.prior.keys) == seconds):
+    candidates = list(map(set, zip(*models.values(), strict=True)))
+    if every and candidates != [set(a.prior.keys), set(b.prior.keys)]:
         return None, "the candidate models of the two results differ; name one with --model"
     if every and not all(
         math.isclose(before[x], other[y], rel_tol=1e-5) for x, y in models.values()
@@ -277,15 +277,12 @@ def _log_bayes_factor(
             weight = of_a[x] + of_b[y] - before[x]
             if weight < -30.0:  # nats; too improbable to count
                 continue
-        wrong = next(
-            (r for r, own in ((a, x), (b, y)) if r.verdict(own) != "trusted"), None
-        )
-        if wrong is not None:
-            return (
-                None,
-                f"the posterior of {titles[key]} from {wrong.source} is not Gaussian by its "
-                "weighted draws",
-            )
+        for result, own in ((a, x), (b, y)):
+            if result.verdict(own) != "trusted":
+                return None, (
+                    f"the posterior of {titles[key]} from {result.source} is not Gaussian by its "
+                    "weighted draws"
+                )
         factor = _gaussian_factor(a.posterior[x], b.posterior[y], mine)
         if factor is None:
             return None, f"a posterior of {titles[key]} is hardly narrower than its prior"
