@@ -92,6 +92,8 @@ ANSWERS = {
         {"wall": 0.4, "clock": 0.4, "other": 0.2},
     ),
     "other": ("other", [], {"other": 0.98}),
+    "other or nothing": ("other", [], {"other": 0.58, "none": 0.25}),
+    "other or nothing more": ("other", [], {"other": 0.52, "none": 0.35}),
     "other or blur": ("other", [], {"other": 0.6, "exposure_blur": 0.3}),
     "slow noise": ("other", [], {"slow_noise": 0.6, "other": 0.35}),
     "undecided": ("undecided", ["wall"], {"wall": 0.5, "none": 0.3, "other": 0.15}),
@@ -123,6 +125,7 @@ def answered(document: dict, answer: str, shared: str, *, helps: bool | None) ->
     """A document as a diagnosis with another answer makes it."""
     verdict, cause, members = ANSWERS[answer]
     named = verdict in ("effect", "class")
+    beside = verdict == "other" and answer != "other or nothing"
     parts = next(iter(members)).split("+") if named else ["sound_speed"]
     shrinkage = document["shrinkage"] | SHARED[shared] | {"selected": [parts, parts]}
     ahead = None
@@ -148,8 +151,8 @@ def answered(document: dict, answer: str, shared: str, *, helps: bool | None) ->
         "cause": cause,
         "members": members,
         # another verdict rests on what was asked about beside the parts that were selected
-        "posterior": {"other": 1.0} if verdict == "other" else members,
-        "members_held": parts if verdict == "other" else document["held"],
+        "posterior": {"other": 1.0} if beside else members,
+        "members_held": parts if beside else document["held"],
         "selected": parts,
         "given_up": [*parts, "refraction"],
         "shrinkage": None if parts == ["gel_scatter"] else shrinkage,
@@ -174,15 +177,20 @@ def contradictions(document: dict) -> list[str]:
     members = document["members"] or {}
     verdict = document["verdict"]
     named = verdict in ("effect", "class")
+    doubted = verdict == "other" and "none" in members and not document["members_held"]
     titles = {name: title(name) for name in (*LIBRARY, "gel_scatter")}
     in_head = {name for name, words in titles.items() if words in head}
     likely = {part for name in members for part in name.split("+")} & set(titles)
+    if verdict == "other" and "none" in members:
+        likely |= set(document["members_held"])
     shrunk = document["shrinkage"]
     found = {
         "a number that is none": re.search(r"\b(nan|inf)\b", text) is not None
         or not _all_finite(document),
         "a gap and none": ("There is a gap" in head)
-        != (verdict in ("effect", "class", "other"))
+        != (verdict in ("effect", "class", "other") and not doubted)
+        or ("There may be a gap" in head) != doubted
+        or doubted != (f"nothing is missing (probability {members.get('none')})" in head)
         or ("No gap was found" in text) != (verdict == "none")
         or (verdict == "none" and (document["gap"] or bool(cause) or shrunk is not None)),
         "what is nearest is not said, or is beside a cause": (
