@@ -15,9 +15,10 @@ noise alone.
 The law is that of :class:`imr_torch.observe.Noise` with free proportions. Where the bubble moves
 fast, next to a collapse above all, a small error of a frame's time moves the radius: the ``jitter``
 of the law. How far it moves is read off the fitted bubble (:func:`frame_motions`), since a collapse
-is shorter than the time between frames. If such frames count like others a fit passes through them
-at any price, so fits whose noise is to be inferred begin with :data:`FIRST_JITTER` and how much the
-measured curve bends. One curve whose noise is not that of the others gets a factor of its own.
+is shorter than the time between frames, and off the bends of the measured curve, since a fit can
+miss the collapse; the larger counts. If such frames count like others a fit passes through them at
+any price, so fits whose noise is to be inferred begin with :data:`FIRST_JITTER` and the bends. One
+curve whose noise is not that of the others gets a factor of its own.
 
 Intervals of the gel are another question. Fits take frames as independent, with what the model
 misses beside the noise of single frames, of one size in R* in all of them: so they pass through the
@@ -50,6 +51,7 @@ from imr_torch.observe import (
     NoiseLaws,
     predict,
 )
+from imr_torch.observe.noise import frame_bends
 from imr_torch.types import ExperimentFrames, FrameValues
 
 FIRST_JITTER = 0.15
@@ -70,8 +72,8 @@ class FrameNoise:
             above when not given.
         widened: factor by which 90 % intervals of the gel by that law are to be wider, for what
             residuals have in common; near 1 where the model explains the curves.
-        motions: of each experiment, how far the bubble moves from frame to frame; None, or nothing
-            at all, where that is read off the curves.
+        motions: of each experiment, how far the bubble moves from frame to frame; nothing where
+            that is read off the curves alone.
 
     >>> import torch
     >>> from dataclasses import replace
@@ -227,8 +229,8 @@ def frame_motions(near: Neighbourhood, *, jitter: float = FIRST_JITTER) -> Exper
     spacings = torch.stack([e.times.diff().median() for e in batch.curves])
     times = batch.times[..., None] + jitter * spacings[:, None, None] * errors
     # not before the first frame, and no two alike
-    rising, order = times.clamp_min(float(batch.times.min())).flatten(1).sort(1)
-    rising = rising + 1e-9 * torch.arange(rising.shape[1])
+    rising, order = times.clamp_min(batch.times.min()).flatten(1).sort(1)
+    rising += 1e-9 * torch.arange(rising.shape[1])
     radius = predict(
         posterior.simulator,
         posterior.prior.to_si(near.point.gel),
@@ -237,16 +239,18 @@ def frame_motions(near: Neighbourhood, *, jitter: float = FIRST_JITTER) -> Exper
         times=rising,
     )
     radius = radius.gather(1, order.argsort(1)).unflatten(1, (-1, 5))
-    weights = weights / weights.sum()
+    weights /= weights.sum()
     mean = radius @ weights
     return ((radius - mean[..., None]).square() @ weights).sqrt() / jitter
 
 
 def _with_motions(near: Neighbourhood) -> Neighbourhood:
-    """The same fit; each of its bubbles that can be followed moves as the fit says."""
+    """The same fit; each of its bubbles moves as the fit says, or as the curve bends if that is
+    more or the fitted bubble cannot be followed.
+    """
     batch = near.posterior.batch
     experiments = tuple(
-        replace(e, motion=motion[: len(e.times)]) if motion.isfinite().all() else e
+        replace(e, motion=torch.fmax(motion[: len(e.times)], frame_bends(e.mean)))
         for e, motion in zip(batch.curves, frame_motions(near), strict=True)
     )
     batch = replace(batch, experiments=experiments)

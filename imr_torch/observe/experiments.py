@@ -44,9 +44,9 @@ class Experiment:
         noise_factor_sd: standard deviation of its logarithm.
         weight: how often its log likelihood counts; below 1 for a shot that stands out from its set
             (:meth:`imr_torch.record.Record.weighted`).
-        motion: how far the bubble moves from frame to frame, R*, as a fit says
-            (:func:`imr_torch.assimilate.frame_motions`); how much the curve bends
-            (:func:`imr_torch.observe.noise.frame_bends`) where there is none yet.
+        motion: how far the bubble moves from frame to frame, R*: the larger of what a fit says
+            (:func:`imr_torch.assimilate.frame_motions`) and how much the curve bends
+            (:func:`imr_torch.observe.noise.frame_bends`); the latter where there is no fit yet.
 
     >>> import torch
     >>> from imr_torch.observe import Experiment

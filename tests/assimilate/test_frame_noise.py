@@ -29,6 +29,7 @@ from imr_torch.goodness.linear import whiten_rows
 from imr_torch.goodness.score import LEVEL, gap_test, make_block
 from imr_torch.material import PARAMETERS
 from imr_torch.observe import Experiment, ExperimentBatch, Noise, predict
+from imr_torch.observe.noise import frame_bends
 from imr_torch.random import generator
 from tests.gap.synthetic import BASE, DESIGNS, GEL, SIMULATOR, fit
 from tests.linear import LinearSimulator, tensor
@@ -239,9 +240,23 @@ def test_that_frames_that_follow_one_another_closely_are_followed():
 
 
 def test_that_a_fit_that_failed_leaves_the_motion_as_the_curve_says():
-    place = near(shoot(pixels(0.002)))
+    batch = shoot(pixels(0.002))
+    place = near(batch)
     lost = replace(place.point, gel=place.point.gel + 200.0)
-    assert infer_frame_noise(replace(place, point=lost)).motions == (None,) * 3
+    found = infer_frame_noise(replace(place, point=lost)).motions
+    for motion, e in zip(found, batch.curves, strict=True):
+        assert torch.equal(motion, frame_bends(e.mean))
+
+
+def test_that_a_bubble_moves_as_the_fit_says_or_as_the_curve_bends_if_that_is_more():
+    batch = shoot(pixels(0.002))
+    place = near(batch)
+    found = infer_frame_noise(place).motions
+    fitted = frame_motions(place)
+    bends = [frame_bends(e.mean) for e in batch.curves]
+    for motion, as_fitted, bend in zip(found, fitted, bends, strict=True):
+        assert torch.equal(motion, torch.maximum(as_fitted[: len(motion)], bend))
+        assert (as_fitted[: len(motion)] < bend).any() and (bend < motion).any()
 
 
 def test_that_slow_noise_is_not_taken_for_that_of_single_frames():
