@@ -191,7 +191,7 @@ def _find_lowest_places(
     places = linspace(-widest, widest, count)
     reach = _reachable_shifts(posterior, point.nuisances, places)
     prediction = _predict_moved(posterior, point, reach)
-    known = torch.isfinite(prediction).all(-1).all(2)  # M x P x E
+    known = prediction.isfinite().all(-1).all(2)  # M x P x E
     moved = point.nuisances[:, None].repeat(1, len(reach), 1, 1)
     moved[..., _TIME_ZERO] += reach / batch.nuisance_sds[:, _TIME_ZERO].clamp_min(1e-300)
     still = moved.clone()

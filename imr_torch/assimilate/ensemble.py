@@ -126,7 +126,7 @@ def analyse_ensemble(
         if value is not None and tuple(value.shape) != shape:
             sizes = " x ".join(map(str, shape))
             raise ShapeError(f"{name} is {tuple(value.shape)}; expected {sizes}.")
-    good = torch.isfinite(predictions).all(1)
+    good = predictions.isfinite().all(1)
     if int(good.sum()) < 2:
         raise InputDataError(
             f"predictions of {int(good.sum())} of {len(good)} members are finite; expected two "

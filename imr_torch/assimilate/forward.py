@@ -188,7 +188,7 @@ class ForwardModel:
             prediction: as of :meth:`bundle`.
         """
         slopes = (prediction[..., 1:, :, :] - prediction[..., :1, :, :]) / STEP
-        good = torch.isfinite(slopes).all(-1, keepdim=True)
+        good = slopes.isfinite().all(-1, keepdim=True)
         slopes = torch.where(good, slopes, 0.0).movedim(-3, -1)
         moved = slopes.shape[-1] - len(self.uncertain)
         by_gel = slopes.new_zeros(*slopes.shape[:-1], self.size)

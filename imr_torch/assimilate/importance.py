@@ -48,7 +48,7 @@ def smooth_tail(
         array_stats,
     )
 
-    possible = torch.nonzero(torch.isfinite(log_weights))[:, 0]
+    possible = torch.nonzero(log_weights.isfinite())[:, 0]
     some = log_weights[possible]
     if len(some) < 5 * shortest:
         return log_weights, math.inf
@@ -64,7 +64,7 @@ def smooth_tail(
     # undo its normalisation
     values = torch.as_tensor(smoothed) - smoothed[least] + some[least].clamp_min(floor)
     shape = float(shape)
-    if not math.isfinite(shape) or not torch.isfinite(values).all():
+    if not math.isfinite(shape) or not values.isfinite().all():
         return log_weights, math.inf
     return log_weights.index_copy(0, possible, values), shape
 

@@ -379,4 +379,4 @@ class NoiseNodes:
         value = (
             -0.5 * square * torch.exp(-2.0 * factors) - normaliser - batch.sizes * factors
         )
-        return torch.where(torch.isnan(value), -torch.inf, value)
+        return torch.where(value.isnan(), -torch.inf, value)

@@ -151,11 +151,11 @@ class Posterior(ForwardModel):
         """
         if beside is None:
             near = self.neighbourhood(point, moves_gel=False)
-            known = torch.isfinite(near.prediction).all(-1).all(-2)[..., None]
+            known = near.prediction.isfinite().all(-1).all(-2)[..., None]
             equations = near.equations
         else:
             prediction = self.predict(point, precise=False)
-            known = torch.isfinite(prediction).all(-1, keepdim=True)
+            known = prediction.isfinite().all(-1, keepdim=True)
             slopes = (x.expand(len(point.gel), *x.shape) for x in beside.slopes)
             equations = self.equations(point, torch.where(known, prediction, 0.5), *slopes)
         step = equations.reduced.nuisance_step
@@ -266,6 +266,6 @@ class Neighbourhood:
         """Gauss-Newton normal equations at the points, with the exact gradient; an experiment whose
         bubble fails tells nothing.
         """
-        known = torch.isfinite(self.centre).all(-1, keepdim=True)
+        known = self.centre.isfinite().all(-1, keepdim=True)
         centre = torch.where(known, self.centre, 0.5)
         return self.posterior.equations(self.point, centre, *self.slopes)

@@ -151,7 +151,7 @@ def _fit_across(
     across = _normal_plane(along)
     for _ in range(4):
         near = posterior.neighbourhood(guess.point)
-        if not torch.isfinite(near.prediction).all():
+        if not near.prediction.isfinite().all():
             return replace(guess, promised=math.inf)
         equations = near.equations
         reduced = equations.reduced

@@ -182,11 +182,7 @@ def _rank_draws(
     """Where the truth lies among the draws of a function."""
     part = arrangement.prior[truth.model]
     draws = infer(batch, truth.model, child(seed, "infer"))
-    if (
-        draws.ndim != 2
-        or draws.shape[1] != len(part.names)
-        or not bool(torch.isfinite(draws).all())
-    ):
+    if draws.ndim != 2 or draws.shape[1] != len(part.names) or not draws.isfinite().all():
         raise ShapeError(
             f"infer returned draws of shape {tuple(draws.shape)} for {truth.model}; expected n x "
             f"{len(part.names)} finite "

@@ -88,7 +88,7 @@ def check_simulated(
         controls = part.controls(draws, seed=child(seed, "admission"))
         with torch.no_grad():
             radius = predict(simulator, part.parameters(controls), batch)
-        if bool(torch.isfinite(radius).all(-1).any()):
+        if radius.isfinite().all(-1).any():
             return
     raise InputDataError(
         f"{name} at (We, R_inf*) = ({weber:g}, {rest:g}) and times up to {last:.3g} cannot be "

@@ -129,7 +129,7 @@ def with_influence(
     gain: InformationGain, influence: Float[Tensor, "draws 2"]
 ) -> InformationGain:
     """The gain with the influence of each draw (``n x 2``) and the variance that follows from it."""
-    known = bool(torch.isfinite(influence).all())
+    known = bool(influence.isfinite().all())
     variance = float(influence.sum(1).square().sum())
     return replace(gain, variance=variance, influence=influence if known else None)
 

@@ -45,7 +45,7 @@ def observe_gels(seen: Response, plan: Plan, source: torch.Generator) -> Data:
     """One datum of each gel, with nuisances and noise drawn."""
     times = plan.times.expand(seen.radius.shape[1:])
     noise = randn(seen.radius.shape, generator=source)
-    noise = plan.noise.correlated(noise, times, torch.isfinite(times))
+    noise = plan.noise.correlated(noise, times, times.isfinite())
     nuisance = randn(
         *seen.by_nuisance.shape[:2], seen.by_nuisance.shape[-1], 1, generator=source
     )
@@ -142,7 +142,7 @@ def linearise_data(
     """
     sd = plan.noise.sd(radius, plan.times)
     times = plan.times[None]
-    own, before = plan.noise.innovations(times, torch.isfinite(times))
+    own, before = plan.noise.innovations(times, times.isfinite())
 
     def whiten_columns(columns: Tensor) -> Tensor:
         """In units of independent noise of the mean curve, 0 outside the window."""

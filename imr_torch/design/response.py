@@ -154,7 +154,7 @@ class Response(Rows):
     @property
     def good(self) -> Bool[Tensor, "draws"]:
         """Gels all of whose bubbles could be simulated."""
-        return torch.isfinite(self.radius).flatten(1).all(1)
+        return self.radius.isfinite().flatten(1).all(1)
 
     def replace_rows(self, rows: Shaped[Tensor, "rows"], others: "Response") -> "Response":
         """These gels with others in the place of some rows."""
@@ -203,7 +203,7 @@ def simulate_response(
     )
     by_gel, by_nuisance = forward.slopes(seen)
     # of the gel and of all beside it
-    good = torch.isfinite(seen).flatten(1).all(1)[:, None, None]
+    good = seen.isfinite().flatten(1).all(1)[:, None, None]
     slopes = by_gel if gel else by_gel[..., :0]
     return Response(
         controls,

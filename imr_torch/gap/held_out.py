@@ -86,7 +86,7 @@ class HeldOut:
     @property
     def predicted(self) -> bool:
         """Whether the design could be simulated by the training fit."""
-        return bool(torch.isfinite(self.residual).all())
+        return bool(self.residual.isfinite().all())
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from operator import itemgetter
 
-import torch
-
 from imr_torch.assimilate import ModelFit, Neighbourhood, infer_frame_noise
 from imr_torch.assimilate.slow_noise import BesideSlowNoise
 from imr_torch.gap.adequacy import Adequacy
@@ -225,8 +223,15 @@ def weigh_beside_slow(
     for name in (held, *_rank_beside_slow(steps, batch, simulator)):
         seen = steps[0].hypotheses[name].seen(batch)
         tried = [step.fits[name] for step in steps if name in step.fits]
-        again = [(evidence_beside_slow(f.linearise(seen, simulator)), f) for f in tried]
-        evidence[name], fits[name] = max(again, key=itemgetter(0))
+        near = [fit.linearise(seen, simulator) for fit in tried]
+        at_mode = list(map(evidence_beside_slow, near))
+        evidence[name] = best = max(at_mode)
+        # of those that lead to one mode the fit that is closest to it
+        closest = [
+            (mode > best - EXPLAINS, evidence_beside_slow(one, steps=0))
+            for mode, one in zip(at_mode, near, strict=True)
+        ]
+        fits[name] = tried[closest.index(max(closest))]
     explained = {n: value - evidence[held] for n, value in evidence.items() if n != held}
     return replace(steps[0], fits=steps[0].fits | fits), explained
 
@@ -249,7 +254,7 @@ def evidence_beside_slow(near: Neighbourhood, *, steps: int = 6) -> float:
     """Log evidence of a hypothesis beside slow noise of each shot's own, after so many steps from a
     fit to the most probable point there; -inf where the fit has no prediction.
     """
-    if not bool(torch.isfinite(near.centre[near.posterior.batch.mask]).all()):
+    if not near.centre[near.posterior.batch.mask].isfinite().all():
         return -math.inf
     return BesideSlowNoise.at_mode(near, steps=steps).log_evidence
 

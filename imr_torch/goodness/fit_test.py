@@ -169,7 +169,7 @@ def _move_to_noise(line: Linearisation, *, far: float = 4.0) -> Linearisation:
         near = posterior.neighbourhood(
             posterior.point_at(line.near.coordinates + factor * step)
         )
-        if not torch.isfinite(near.centre).all():
+        if not near.centre.isfinite().all():
             continue
         own = whiten_rows(near)
         if own.residual.square().sum() < line.residual.square().sum():

@@ -120,7 +120,7 @@ def effect_directions(effects: Sequence[Effect], line: Linearisation) -> Directi
     that fails.
     """
     rows = line.whiten(predict_changes(line, list_starts(effects)))
-    rows = torch.where(torch.isfinite(rows).all(1, keepdim=True), rows, 0.0)
+    rows = torch.where(rows.isfinite().all(1, keepdim=True), rows, 0.0)
     return split_by_effect(rows, effects)
 
 

@@ -277,14 +277,14 @@ def load_set(
         size = surroundings.max_radius(weber)
         radius = torch.as_tensor(all_radii[i]) / size
         times = torch.as_tensor(all_times[i]) / surroundings.time_scale(size)
-        seen = torch.isfinite(radius).any(0) & torch.isfinite(times)
+        seen = radius.isfinite().any(0) & times.isfinite()
         if int(seen.sum()) < 2:
             raise InputDataError(
                 f"{where} has {int(seen.sum())} frames with a finite time and radius; at least 2 are "
                 "needed."
             )
         radius = radius[:, seen]
-        radius = radius[torch.isfinite(radius).any(1)]
+        radius = radius[radius.isfinite().any(1)]
         try:
             found = Experiment(label, (weber, rest), times[seen], radius, nuisance)
         except InputDataError as error:

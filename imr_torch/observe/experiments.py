@@ -91,7 +91,7 @@ class Experiment:
             )
         longest = PARAMETERS["exposure_blur"].upper
         lost = (self.counts == 0).nonzero()[:, 0].tolist()
-        rises = bool((self.times.diff() > 0.0).all() and torch.isfinite(self.times).all())
+        rises = bool((self.times.diff() > 0.0).all() and self.times.isfinite().all())
         for wrong, text in (
             (self.repeats < 1, "has no repeat; give at least one row of radius"),
             (len(self.times) < 2, f"has {len(self.times)} frames; at least 2 are needed"),
@@ -121,7 +121,7 @@ class Experiment:
     @cached_property
     def counts(self) -> Int[Tensor, "frames"]:
         """Repeats that have each frame."""
-        return torch.isfinite(self.radius).sum(0)
+        return self.radius.isfinite().sum(0)
 
     @cached_property
     def mean(self) -> FrameValues:
@@ -460,4 +460,4 @@ class ExperimentBatch:
         """Log density of all repeats and frames of each experiment; ``-inf`` for NaN."""
         square, normaliser = self.terms(prediction, self.sd(prediction), self.innovations)
         value = -0.5 * square - normaliser
-        return torch.where(torch.isnan(value), -torch.inf, value)
+        return torch.where(value.isnan(), -torch.inf, value)

@@ -77,7 +77,7 @@ class SimulatedLaboratory:
         clean = predict(
             self.simulator, self.truth, ExperimentBatch((blank,)), shifts[None]
         )[0]
-        if not bool(torch.isfinite(clean).all()):
+        if not clean.isfinite().all():
             solution = self.simulator(self.truth, true, self.times)
             raise ConvergenceError(
                 f"The laboratory's own bubble at {true.tolist()} failed: {solution.summary()}"

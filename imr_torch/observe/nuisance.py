@@ -127,7 +127,7 @@ def find_impossible(
     first = (times[..., 0] + shifts[..., 1]) / scale
     early = first < times[..., 0].clamp_max(earliest)
     # NaN is not possible either
-    return ~((scale >= SMALLEST) & ~early & torch.isfinite(shifts).all(-1))
+    return ~((scale >= SMALLEST) & ~early & shifts.isfinite().all(-1))
 
 
 def with_own(

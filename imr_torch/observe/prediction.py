@@ -362,13 +362,13 @@ def _simulate_collapses(
 
     usual, late, close = (about[:, None] * x.to(about) for x in _collapse_times_looked_at())
     found = find_minima(usual, parameters, designs)
-    missing = torch.isnan(found).any(-1)
+    missing = found.isnan().any(-1)
     found = _replace_times(
         found, missing, partial(find_minima, late), parameters, designs, bundled
     )
     if not (precise or bundled):
         return found
-    lost = torch.isnan(found)
+    lost = found.isnan()
     near = torch.where(lost, about, found)[..., None] + close
     return torch.where(lost, torch.nan, find_minima(near, parameters, designs))
 

@@ -190,7 +190,7 @@ def begin_search(
     )
     search = KindSearch(fit, batch.nuisance_sds > 0.0, shots)
     paths = [response.path for response in search.responses]
-    finite = all(bool(torch.isfinite(path.radius).all()) for path in paths)
+    finite = all(bool(path.radius.isfinite().all()) for path in paths)
     return search if finite else None
 
 

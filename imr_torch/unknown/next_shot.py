@@ -83,7 +83,7 @@ def choose_shot(
         shot = plan_shot(design, plan, prior, simulator)
         still = shot.predict(rivals[0].gel, zeros(len(NUISANCES)), zeros(len(shot.moments)))
         curves = [predict_curve(shot, rival, still) for rival in rivals]
-        if all(bool(torch.isfinite(curve.mean).all()) for curve in curves):
+        if all(curve.mean.isfinite().all() for curve in curves):
             own = _weigh_outcomes(curves, shares, child(seed, "compare"))
             tried.append((NextDesign.judge(design, own, shares, plan), curves))
     if not tried:

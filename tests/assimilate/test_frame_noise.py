@@ -256,7 +256,8 @@ def test_that_a_bubble_moves_as_the_fit_says_or_as_the_curve_bends_if_that_is_mo
     bends = [frame_bends(e.mean) for e in batch.curves]
     for motion, as_fitted, bend in zip(found, fitted, bends, strict=True):
         assert torch.equal(motion, torch.maximum(as_fitted[: len(motion)], bend))
-        assert (as_fitted[: len(motion)] < bend).any() and (bend < motion).any()
+        assert (as_fitted[: len(motion)] < bend).any()
+        assert (bend < motion).any()
 
 
 def test_that_slow_noise_is_not_taken_for_that_of_single_frames():

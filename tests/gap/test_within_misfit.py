@@ -16,7 +16,7 @@ from imr_torch.gap.within_misfit import weigh_beside_slow
 from imr_torch.material import intervals
 from imr_torch.observe import Experiment, Noise
 from imr_torch.random import generator
-from tests.gap.synthetic import BASE, DESIGNS, GEL, SIMULATOR, diagnose_offered, shoot
+from tests.gap.synthetic import BASE, DESIGNS, GEL, SIMULATOR, diagnose_offered, fit, shoot
 
 OFFERED = ("stress_relaxation", "edge_error", "clock")
 LAW = Noise(scale=0.3)
@@ -80,6 +80,21 @@ def test_that_it_is_selected_and_not_named_beside_slow_deviations(beside):
     assert "some of it goes with stress_relaxation" in beside.reason
     nats = explained(beside)
     assert nats.pop("stress_relaxation") > EXPLAINS + max(nats.values())
+
+
+def test_that_of_fits_that_lead_to_one_point_the_closest_is_kept(beside):
+    name = "stress_relaxation"
+    step = beside.within_misfit.steps[0]
+    hypothesis = step.hypotheses[name]
+    close = fit(hypothesis.seen(beside.batch), hypothesis, tau=STRONG["tau"])
+    steps = [
+        replace(step, fits=step.fits | {name: replace(close, mean=close.mean + shift)})
+        for shift in (0.1, 0.0, -0.1, 0.2)
+    ]
+    kept, explained = weigh_beside_slow(steps, beside.batch, SIMULATOR)
+    _, at_close = weigh_beside_slow(steps[1:2], beside.batch, SIMULATOR)
+    assert explained[name] >= at_close[name]
+    assert torch.equal(kept.fits[name].mean, close.mean)
 
 
 def test_that_it_predicts_curves_that_were_left_out_and_gives_the_gel_back(beside):
