@@ -5,7 +5,7 @@ the answers must pass.
   python -m benchmarks.real_gels table OUT.jsonl PAGE.md
 
 FOLDER holds a CSV file a gel and a JSON file beside it. `run` passes over what has a line in the
-record. Of each set at most `--max-curves` are taken (default 4), evenly spread over those that can
+record. Of each set at most `--max-curves` are taken (default 8), evenly spread over those that can
 be fitted and whose tail does not grow again. The medium is stated (`SETS`); models with heat and
 vapour transport. Tasks:
 
@@ -267,7 +267,7 @@ def main() -> None:
     )
     work.add_argument("--tasks", default=",".join(TASKS), help="comma-separated")
     work.add_argument(
-        "--max-curves", type=int, default=4, help="most curves of a set; 0 for all"
+        "--max-curves", type=int, default=8, help="most curves of a set; 0 for all"
     )
     show = commands.add_parser("table")
     show.add_argument("out", type=Path, metavar="OUT.jsonl")

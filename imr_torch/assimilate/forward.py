@@ -95,7 +95,7 @@ class ForwardModel:
     @cached_property
     def uncertain(self) -> ColumnNumbers:
         """Columns of nuisances that are uncertain in any experiment."""
-        return torch.nonzero((self.batch.nuisance_sds > 0.0).any(0))[:, 0]
+        return (self.batch.nuisance_sds > 0.0).any(0).nonzero()[:, 0]
 
     def coordinates_of(self, point: Point) -> BatchCoordinates:
         """The gel's coordinates, then the uncertain nuisances of each experiment."""

@@ -48,7 +48,7 @@ def smooth_tail(
         array_stats,
     )
 
-    possible = torch.nonzero(log_weights.isfinite())[:, 0]
+    possible = log_weights.isfinite().nonzero()[:, 0]
     some = log_weights[possible]
     if len(some) < 5 * shortest:
         return log_weights, math.inf

@@ -79,7 +79,7 @@ def find_nuisance_basins(
     """
     basins = [NuisanceBasin(torch.arange(len(fit.nuisances)), fit, posterior)]
     for nuisances in other_basins(fit, posterior, within=within):
-        rows = torch.nonzero((nuisances != fit.nuisances).any(1))[:, 0]
+        rows = (nuisances != fit.nuisances).any(1).nonzero()[:, 0]
         of_rows = posterior.of_experiments(rows)
         near = of_rows.neighbourhood(Point(fit.mean, nuisances[rows]))
         there = ModelFit.about(near, fit.certificate)

@@ -91,11 +91,12 @@ def _follow_side(
     posterior: Posterior,
     *,
     fall: float = 8.0,
-    shortest: float = 1.0 / 16.0,
-    most_bend: float = 1.0,
     lost: float = 3.0,
 ) -> list[_RidgePoint]:
     """The ridge from its optimum to one end.
+
+    Kernels about its points overlap: none lies a nat off the straight line through the two before.
+    Where points a sixteenth of the first step apart do, it is given up.
 
     Args:
         optimum: where it begins.
@@ -103,9 +104,6 @@ def _follow_side(
         posterior: of the model.
         fall: nats by which the profile falls at the end; what lies beyond holds less than a
             thousandth of the probability.
-        shortest: distance between points, over that of the first step, at which it is given up.
-        most_bend: nats by which a point may lie off the straight line through the two before, so
-            that kernels overlap.
         lost: predicted decrease of a further step, nats, from which a point is no part of the
             ridge.
     """
@@ -120,9 +118,9 @@ def _follow_side(
         step = point.point.gel - points[-1].point.gel
         off = step - along * (along @ step)
         bend = 0.5 * float(off @ point.hessian @ off)
-        if point.promised >= lost or bend >= most_bend:
+        if point.promised >= lost or bend >= 1.0:
             length *= 0.5
-            if length < shortest * longest:
+            if length < longest / 16.0:
                 break
             continue
         points.append(point)
@@ -132,7 +130,7 @@ def _follow_side(
         following = normalize(step, dim=0)
         turn = (following - along) / step.norm()
         along = following
-        if bend < 0.1 * most_bend:
+        if bend < 0.1:
             length = min(2.0 * length, longest)
     return points[1:]
 
@@ -141,12 +139,10 @@ def _fit_across(
     guess: _RidgePoint,
     along: Controls,
     posterior: Posterior,
-    *,
-    fitted_within: float = 0.3,
 ) -> _RidgePoint:
     """A point after Gauss-Newton steps across the ridge, with the cost predicted from its local
     sensitivities: four at most, fewer where the next one is predicted to lower the cost by
-    less than ``fitted_within`` nats, which weights repair.
+    less than .3 nats, which weights repair.
     """
     across = _normal_plane(along)
     for _ in range(4):
@@ -170,7 +166,7 @@ def _fit_across(
             float(reduced.nuisance_log_det),
             reduced.nuisance_response,
         ).move_gel(step)
-        if promised <= fitted_within:
+        if promised <= 0.3:
             break
     return guess
 

@@ -45,7 +45,7 @@ def best_prior_draws(
     some = batch.experiments[:: -(-len(batch.experiments) // ENOUGH)]
     few = replace(posterior, batch=replace(batch, experiments=some))
     cost = -few.coarse.log_joint(Point(draws, few.mean_nuisances(options.raw_samples)))
-    order = torch.argsort(cost)
+    order = cost.argsort()
     order = order[torch.isfinite(cost[order])].tolist()
     if len(order) < 2:
         raise ConvergenceError(
@@ -137,7 +137,7 @@ def away_from_collapses(
     keep = torch.ones_like(times, dtype=torch.bool)
     number = 1
     while (at := collapse_time(times, radius, number)) < math.inf:
-        frame = int(torch.nonzero(times == at))
+        frame = int((times == at).nonzero())
         keep[max(1, frame - 1) : frame + 2] = False
         number += 1
     keep = keep[:-1]

@@ -149,7 +149,7 @@ def forecast_shots(
                         after = Belief(tuple(models), chances[row])
                     if rule.find_reason(CampaignState(after, ())):
                         counts[row] = count
-            if bool((counts < math.inf).all()):
+            if (counts < math.inf).all():
                 break
     drawn = torch.tensor([len(gel) for gel in seen.parts])
     weights = (shot.belief.log_probabilities.exp() / drawn).repeat_interleave(drawn)

@@ -187,7 +187,7 @@ class SavedCharacterization:
         try:
             values = tensor([entry["values"][name] for name in part.names]).mT
             weights = tensor(entry["weights"])
-            whole = weights.shape == values.shape[:1] and bool((weights >= 0.0).all())
+            whole = weights.shape == values.shape[:1] and (weights >= 0.0).all()
             if not (whole and float(weights.sum()) > 0.0):
                 raise ValueError("no weights that fit them")
         except (KeyError, TypeError, ValueError) as error:

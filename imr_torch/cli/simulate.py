@@ -46,7 +46,7 @@ def run_command(args: Namespace) -> None:
     design = tensor([args.we, args.rinf])
     gel = PARAMETERS.pack(values)
     solution = simulator(gel[None], design, times)
-    if not bool(solution.ok.all()):
+    if not solution.ok.all():
         raise ConvergenceError(solution.summary())
     print(args.gel_medium.report())
     max_radius = float(surroundings.max_radius(args.we))

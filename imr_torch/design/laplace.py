@@ -230,7 +230,7 @@ def refine_gels(
         distance = (step[:, None] @ here.chol).norm(dim=-1)[:, 0]
         active = (distance > close) & (length[:, 0] > shortest)
         active &= here.log_evidence > (floor if iteration else floor - start_behind)
-        moving = torch.nonzero(active)[:, 0]
+        moving = active.nonzero()[:, 0]
         if len(moving) == 0:
             break
         limit = longest / step.norm(dim=-1, keepdim=True).clamp_min(longest)

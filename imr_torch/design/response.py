@@ -105,7 +105,7 @@ class Shot:
 
     def __post_init__(self) -> None:
         log_probabilities = self.belief.log_probabilities
-        likely = torch.nonzero(log_probabilities.exp() > self.negligible)[:, 0]
+        likely = (log_probabilities.exp() > self.negligible).nonzero()[:, 0]
         models = tuple(self.belief.models[row] for row in likely)
         object.__setattr__(self, "belief", Belief(models, log_probabilities[likely]))
 

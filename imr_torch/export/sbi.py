@@ -85,7 +85,7 @@ class ModelPrior(Distribution):
 
     def log_prob(self, value: BatchControls) -> Values:
         """Log density at ``... x d`` parameters: ``...`` tensor, ``-inf`` outside the support."""
-        return self.belief.log_prob(value.to(torch.float64)).float()
+        return self.belief.log_prob(value.double()).float()
 
 
 def _bound_parameter(lower: float, upper: float) -> constraints.Constraint:
@@ -141,13 +141,13 @@ class SbiSimulator:
             raise ShapeError(
                 f"theta has shape {tuple(theta.shape)}; expected n x {d} with {self.belief.names}."
             )
-        values = torch.atleast_2d(theta).to(torch.float64)
+        values = torch.atleast_2d(theta).double()
         parameters = self.belief.parameters(self.belief.to_controls(values))
         batch = self.batch
         source = generator(self.seed)
         shape = (len(values), *batch.times.shape)
         shifts = randn(*shape[:2], 3, generator=source) * batch.nuisance_sds
-        moved = shifts if bool(shifts.any()) else None
+        moved = shifts if shifts.any() else None
         clean = predict(self.simulator, parameters, batch, moved)
         noise = randn(shape, generator=source)
         sd = batch.noise.sd(clean, batch.times) * batch.noise_factors
@@ -205,7 +205,7 @@ def sbi_simulator(
         Experiment(
             f"design {i + 1}",
             (weber, rest),
-            times.to(torch.float64),
+            times.double(),
             blank,
             nuisance or Nuisance(),
         )

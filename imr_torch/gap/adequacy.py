@@ -121,7 +121,7 @@ def refitted_directions(
     farthest = full((line.fitted.shape[1],), _FARTHEST_NUISANCE)
     farthest[: line.near.posterior.size] = _FARTHEST_GEL
     # a start that failed would only fail again, slowly
-    under_way = torch.nonzero(left > 0.0)[:, 0]
+    under_way = (left > 0.0).nonzero()[:, 0]
     for _ in range(_ROUNDS):
         shift = rows[under_way] @ line.to_shift.mT
         near = (shift.abs() <= farthest).all(1)

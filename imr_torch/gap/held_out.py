@@ -206,7 +206,8 @@ def judge_designs(
                 done=number + 1,
                 of=len(folds),
             )
-        line = linearise_fit(base_fit, base.seen(fold.training), simulator)
+        fit, base_fit = fold.fit_without_enlargement((hypothesis, fit), (base, base_fit))
+        line = linearise_fit(base_fit, base.seen(fold.judging), simulator)
         beside = None
         if report.within_misfit is not None:
             beside = BesideSlowNoise.about(
@@ -255,6 +256,22 @@ class _Fold:
         """The same with the noise by which parts were selected."""
         return _part(self.report.trained.batch, self.kept)
 
+    @cached_property
+    def judging(self) -> ExperimentBatch:
+        """The same with noise that is not enlarged for what a model misses."""
+        return replace(self.training, noise=self.training.noise.of_frames)
+
+    def fit_without_enlargement(
+        self, *known: tuple[Hypothesis, ModelFit]
+    ) -> list[ModelFit]:
+        """Fits by that noise: the enlargement, which is about intervals, gives so much weight to
+        priors that curves which were not fitted are missed by more.
+        """
+        if self.training.noise.widened == 1.0:
+            return [fit for _, fit in known]
+        fits = self._train(known, child(self.seed, "judge"), self.judging)
+        return [fits[hypothesis.name] for hypothesis, _ in known]
+
     def base_of(self, selected: Hypothesis) -> tuple[Hypothesis, ModelFit]:
         """The base model and its fit to all designs, with gels that differ where a selection holds
         them.
@@ -271,7 +288,7 @@ class _Fold:
         candidates are the hypotheses whose fits to all designs suit the others best.
         """
         held = Hypothesis(self.report.base)
-        fits = self._train([(held, self.report.trained.null)], self.seed)
+        fits = self._train([(held, self.report.trained.null)], self.seed, self.training)
         for step in self.report.trained.steps:
             if step.held.name != held.name:
                 break
@@ -284,7 +301,7 @@ class _Fold:
             held = added
         base, near = self.base_of(held if held.gels_differ else self.report.selected)
         if base.name not in fits:
-            fits |= self._train([(base, near)], self.seed)
+            fits |= self._train([(base, near)], self.seed, self.training)
         return held, fits[held.name], base, fits[base.name]
 
     def _add_part(
@@ -320,7 +337,7 @@ class _Fold:
             return None
         ranked = sorted(tried, key=on_kept, reverse=True)[:_CANDIDATES]
         known = [(step.hypotheses[name], step.fits[name]) for name in ranked]
-        fits |= self._train(known, child(self.seed, held.name))
+        fits |= self._train(known, child(self.seed, held.name), self.training)
         found = {name: evidence(name, fits[name]) for name in (held.name, *ranked)}
         best = max(ranked, key=found.__getitem__)
         return step.hypotheses[best] if found[best] >= found[held.name] + EXPLAINS else None
@@ -334,17 +351,23 @@ class _Fold:
         return float((likelihood.sum() - 0.5 * prior + width).nan_to_num(nan=-math.inf))
 
     def _train(
-        self, known: Sequence[tuple[Hypothesis, ModelFit]], seed: int
+        self,
+        known: Sequence[tuple[Hypothesis, ModelFit]],
+        seed: int,
+        training: ExperimentBatch,
     ) -> dict[str, ModelFit]:
-        """Fits of hypotheses to the training designs, each from starts near its fit to all."""
+        """Fits of hypotheses to designs, each from starts near its fit to all."""
         source = generator(seed)
         fits = {}
         for hypothesis, fit in known:
             beside = _APART * randn(_OPTIONS.starts - 1, len(fit.mean), generator=source)
             gels = torch.cat((fit.mean[None], fit.mean + beside))
+            own = fit.nuisances
+            if len(own) > len(self.kept):
+                own = own[self.kept]
             fits[hypothesis.name] = assimilate_model(
-                Posterior(fit.prior, hypothesis.seen(self.training), self.simulator),
-                Point(gels, fit.nuisances[self.kept].expand(len(gels), -1, -1)),
+                Posterior(fit.prior, hypothesis.seen(training), self.simulator),
+                Point(gels, own.expand(len(gels), -1, -1)),
                 seed=seed,
                 options=_OPTIONS,
             )

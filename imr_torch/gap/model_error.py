@@ -315,7 +315,7 @@ def _hidden(effect: Effect, left: Adequacy, fit: ModelFit, gel: Sequence[str]) -
     """What would hide of one effect beside a fit: of the start that shows in the middle of all."""
     beside = left.line.project_out(left.beside[effect.name]).norm(dim=1)
     rows = left.directions[effect.name]
-    known = torch.nonzero(beside > 0.0)[:, 0]
+    known = (beside > 0.0).nonzero()[:, 0]
     blocks = [b for b in left.test.blocks if b.name == effect.name]
     if not len(known) or not blocks:
         return Hidden(effect.name, None, {})

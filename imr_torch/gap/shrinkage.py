@@ -176,7 +176,7 @@ def _interval(
     units = units[(units != 0.0).any(1)]
     count = len(units)
     picked = torch.randint(count, (_DRAWS, max(count - 1, 1)), generator=source)
-    weights = torch.nn.functional.one_hot(picked, count).sum(1).to(torch.float64)
+    weights = torch.nn.functional.one_hot(picked, count).sum(1).double()
     without, with_effect = (weights @ units).unbind(1)
     ratio = torch.where(
         without > 0.0, 1.0 - with_effect / without.clamp_min(1e-300), torch.nan

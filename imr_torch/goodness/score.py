@@ -137,7 +137,6 @@ def promising_starts(
     *,
     small: float = 0.05,
     typical: tuple[float, float] = (0.5, 1.5),
-    opposite: float = 0.95,
 ) -> tuple[tuple[float, ...], ...]:
     """From where to fit an effect: next to its neutral value, and from larger ones.
 
@@ -146,8 +145,8 @@ def promising_starts(
     vanishes at its neutral value is not seen from near it, so one more start, of the size that the
     residual asks for, suits an effect of one parameter. One with a shape (the frequency and phase
     of a sound field, say) has a minimum for each, and the most promising by this test need not be
-    the best: all its starts are taken, but of two that change the curves in opposite ways only the
-    one that the residual asks for.
+    the best: all its starts are taken, but of two that change the curves in opposite ways
+    (correlated by -.95) only the one that the residual asks for.
 
     Args:
         effect: the effect.
@@ -156,7 +155,6 @@ def promising_starts(
         small: amplitude of the first start over the effect's own: so near the null fit that a
             descent ends below that.
         typical: bounds of that of the second.
-        opposite: correlation of two changes from which on, with a minus, they are opposite.
     """
     left = line.project_out(rows)
     square = left.square().sum(1).clamp_min(1e-300)
@@ -169,7 +167,7 @@ def promising_starts(
     smallest = (small * first, *shape)
     if len({tuple(others) for _, *others in effect.starts}) > 1:
         unit = left / square.sqrt()[:, None]
-        uphill = (amplitude < 0.0) & ((unit @ unit.mT).amin(1) < -opposite)
+        uphill = (amplitude < 0.0) & ((unit @ unit.mT).amin(1) < -0.95)
         kept = torch.nonzero(~uphill)[:, 0].tolist()
         return smallest, *(effect.starts[i] for i in kept)
     first, *shape = effect.starts[other]

@@ -68,7 +68,7 @@ class Belief:
                 f"A belief needs at least one model and each once, got {keys}."
             )
         logs = self.log_probabilities
-        if logs.shape != (len(keys),) or not bool((logs < math.inf).all()):
+        if logs.shape != (len(keys),) or not (logs < math.inf).all():
             raise InputDataError(
                 f"log_probabilities must be {len(keys)} numbers, one for each of {keys}; got "
                 f"{logs.tolist()}."
@@ -245,7 +245,7 @@ def _part_from_dict(entry: Mapping[str, Any]) -> ModelBelief:
     mean = tensor(entry["mean"])
     chol = tensor(entry["chol"]).reshape(len(mean), len(mean))
     marginals = tuple(marginal_from_dict(m) for m in entry["marginals"])
-    if not isinstance(entry["known"], Mapping) or not bool(torch.isfinite(chol).all()):
+    if not isinstance(entry["known"], Mapping) or not chol.isfinite().all():
         raise InputDataError(
             f"Saved belief of {entry['model']!r}: 'known' must be an object, and 'chol' finite."
         )

@@ -71,7 +71,7 @@ class Cloud:
         count, size = self.controls.shape if self.controls.ndim == 2 else (0, 0)
         expected = [(count, size), (count, size, size), (len(self.SCORES), size)]
         shapes = [tuple(x.shape) for x in vars(self).values()]
-        finite = all(bool(x.isfinite().all()) for x in vars(self).values())
+        finite = all(x.isfinite().all() for x in vars(self).values())
         if shapes != expected or not count or not finite:
             raise InputDataError(
                 f"Cloud: controls, precisions and marginals have shapes {shapes}; expected n x d "
@@ -132,9 +132,9 @@ class ModelBelief:
                 f"expected mean of shape ({d},) and chol of ({d}, {d}), got {shapes[1]} and "
                 f"{shapes[2]}."
             )
-        positive = bool((self.chol.diagonal() > 0.0).all())
+        positive = (self.chol.diagonal() > 0.0).all()
         triangular = torch.equal(self.chol, self.chol.tril())
-        if not (bool(torch.isfinite(self.mean).all()) and triangular and positive):
+        if not (self.mean.isfinite().all() and triangular and positive):
             raise InputDataError(
                 f"Model {self.model!r}: mean must be finite and the diagonal of chol positive, "
                 "with chol lower triangular."

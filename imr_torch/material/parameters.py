@@ -227,7 +227,7 @@ class ParameterVector:
         """
         entry = self[name]
         bad = ~((value >= entry.lower) & (value <= entry.upper))
-        if bool(bad.any()):
+        if bad.any():
             worst = float(value[bad].flatten()[0])
             raise InputDataError(
                 f"Parameter {name!r} is {worst:g} {entry.unit}; expected a value in "

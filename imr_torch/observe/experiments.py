@@ -91,7 +91,7 @@ class Experiment:
             )
         longest = PARAMETERS["exposure_blur"].upper
         lost = (self.counts == 0).nonzero()[:, 0].tolist()
-        rises = bool((self.times.diff() > 0.0).all() and self.times.isfinite().all())
+        rises = (self.times.diff() > 0.0).all() and self.times.isfinite().all()
         for wrong, text in (
             (self.repeats < 1, "has no repeat; give at least one row of radius"),
             (len(self.times) < 2, f"has {len(self.times)} frames; at least 2 are needed"),
@@ -355,7 +355,7 @@ class ExperimentBatch:
     @cached_property
     def counts(self) -> ExperimentFrames:
         """Repeats behind each frame of the mean; 1 in the padding."""
-        counts = [e.counts.to(torch.float64) for e in self.experiments]
+        counts = [e.counts.double() for e in self.experiments]
         return _pad(counts, padding_value=1.0)
 
     @cached_property

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, field, replace
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -61,7 +60,7 @@ class SimulatedLaboratory:
         """
         source = generator(child(seed, "laboratory"))
         wobble = randn(2, generator=source) * tensor(self.scatter)
-        true = design * torch.exp(wobble)
+        true = design * wobble.exp()
         shifts = randn(3, generator=source) * self.nuisance.sds()
         scale = 1.0 + float(shifts[0])
         rest = 1.0 + float(shifts[2])

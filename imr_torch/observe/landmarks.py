@@ -299,10 +299,12 @@ def _rest_while_ringing(curve: Curve, inside: np.ndarray) -> tuple[float, float]
     radius = curve.radius[inside]
     power = RULES.ringing_power
     mean = float(np.trapezoid(radius, time) / (time[-1] - time[0]))
-    low = float(radius.min())
+    rough = frame_roughness(radius)
+    # noise may take a frame next to a collapse to nothing
+    low = max(float(radius.min()), 3.0 * rough)
     high = float(radius.max())
     excess = -power * math.log(low * high / mean**2)
-    by_noise = power * frame_roughness(radius) * math.hypot(1.0 / low, 1.0 / high)
+    by_noise = power * rough * math.hypot(1.0 / low, 1.0 / high)
     added = min(abs(excess), RULES.ringing_sd)
     return mean * math.exp(-excess), math.hypot(added, by_noise)
 

@@ -242,7 +242,7 @@ class Distortion:
         times: Frames,
     ) -> tuple[Float[Tensor, "*#batch experiments 2"], Frames]:
         """True designs (``... x E x 2``) and times (``... x E x T``) of a clock that is wrong."""
-        rate = torch.exp(self.clock)[..., None]
+        rate = self.clock.exp()[..., None]
         slower = torch.cat((1.0 / rate, torch.ones_like(rate)), -1)
         return designs * slower, times * rate
 

@@ -77,7 +77,7 @@ def predict(
     """
     designs = film.designs
     times = film.times if times is None else times
-    if bool((film.times < AT_MAXIMUM).any()):
+    if (film.times < AT_MAXIMUM).any():
         simulator = WithGrowth(simulator)
     if isinstance(film, Film):
         instant = designs.new_zeros(1)
@@ -94,7 +94,7 @@ def predict(
                 parameters, film.between, shifts[..., rows[0], len(NUISANCES) :]
             )
         common = (simulator, gels, designs[rows])
-        if bool(film.collapse[rows[0]]):
+        if film.collapse[rows[0]]:
             near = film.mean[rows, 0]
             found = predict_collapse(*common, near, own, bundled=bundled, kept=kept)
             parts.append(found[..., None].expand(*found.shape, times.shape[-1]))
@@ -304,7 +304,7 @@ def predict_collapse(
     else:
         found = simulate(parameters, truth.designs, measured)
     if truth.distortion is not None:
-        found = found / torch.exp(truth.distortion.clock)
+        found = found / truth.distortion.clock.exp()
     return found * truth.scale[..., 0] - truth.offset[..., 0]
 
 
@@ -386,7 +386,7 @@ def _replace_times(
     """
     if bundled:
         chosen = chosen.any(-1)
-    if not bool(chosen.any()):
+    if not chosen.any():
         return found
     gels = parameters.expand(*found.shape[:-1], -1)[chosen]
     anew = find_times(gels, designs.expand(*found.shape, 2)[chosen])

@@ -172,7 +172,7 @@ def grid_scatters(
     >>> G > mu
     True
     """
-    varying = torch.nonzero(scale)[:, 0]
+    varying = scale.nonzero()[:, 0]
     count = len(varying)
     ends = linspace(0.0, 1.0, steps[count] + 1).square() * top
     low = width = zeros(1, 0)

@@ -195,7 +195,6 @@ def _fit_polynomial(
     reach: float,
     *,
     degrees: Sequence[int] = (2, 3, 4),
-    draws_each: int = 5,
 ) -> tuple[Sequence[tuple[int, ...]], Tensor, float]:
     """Monomials, coefficients (``(1 + GROUPS) x K``) and leave-one-out error of the polynomial of
     the best degree.
@@ -205,8 +204,7 @@ def _fit_polynomial(
         values: to be fitted.
         weights: of the draws.
         reach: beyond which the monomials are constant.
-        degrees: that are tried, as long as each coefficient has ``draws_each`` draws.
-        draws_each: see there.
+        degrees: that are tried, as long as each coefficient has five draws.
     """
     tried = []
     for degree in degrees:
@@ -215,7 +213,7 @@ def _fit_polynomial(
             for count in range(degree + 1)
             for axes in combinations_with_replacement(range(whitened.shape[1]), count)
         ]
-        if tried and len(values) < draws_each * len(monomials):
+        if tried and len(values) < 5 * len(monomials):
             break
         basis = _evaluate_monomials(whitened, monomials, reach)
         robust, left = _weigh_robustly(basis, values, weights)
@@ -234,20 +232,17 @@ def _weigh_robustly(
     basis: Tensor,
     values: Tensor,
     weights: Tensor,
-    *,
-    bounded_from: float = 1.5,
 ) -> tuple[Tensor, Tensor]:
     """Huber's weights times those given, and leave-one-out residuals.
 
     The nuisances of a draw are integrated out by a few of their own draws, which now and then all
-    miss: such a likelihood is far too low, and no other draw's.
+    miss: such a likelihood is far too low, and no other draw's. Beyond 1.5 standard deviations of the
+    residuals a draw's part in the fit is bounded (Huber, Ann. Math. Stat. 35, 1964).
 
     Args:
         basis: of the fit.
         values: to be fitted.
         weights: of the draws.
-        bounded_from: standard deviations of the residuals beyond which a draw's part in the fit is
-            bounded (Huber, Ann. Math. Stat. 35, 1964).
     """
     robust = weights
     left = values
@@ -260,6 +255,6 @@ def _weigh_robustly(
         left = (values - basis @ solved[:, 0]) / (1.0 - Q.square().sum(1)).clamp_min(0.1)
         size, order = left.abs().sort()
         half = torch.searchsorted(weights[order].cumsum(0), 0.5 * weights.sum())
-        bound = (bounded_from * 1.4826 * size[half]).clamp_min(1e-9)
+        bound = (1.5 * 1.4826 * size[half]).clamp_min(1e-9)
         robust = weights * (bound / left.abs().clamp_min(1e-300)).clamp_max(1.0)
     return robust, left

@@ -157,19 +157,17 @@ def _draw_scatters(
     gaussian: GaussianShots,
     draws: int,
     source: torch.Generator,
-    *,
-    defensive: float = 0.1,
 ) -> tuple[Tensor, Tensor]:
-    """``draws x d`` scatters, and the log of their prior over their proposal, of which the share
-    ``defensive`` is the prior.
+    """``draws x d`` scatters, and the log of their prior over their proposal, of which a tenth is
+    the prior.
     """
     scale = problem.scale
-    varying = torch.nonzero(scale)[:, 0]
+    varying = scale.nonzero()[:, 0]
     scatter = zeros(draws, len(scale))
     if not len(varying):
         return scatter, scatter.sum(1)
     grid = grid_scatters(gaussian, problem.prior, scale)
-    chance = (1.0 - defensive) * grid.weights + defensive * torch.softmax(grid.log_prior, 0)
+    chance = 0.9 * grid.weights + 0.1 * torch.softmax(grid.log_prior, 0)
     cell = torch.multinomial(chance, draws, replacement=True, generator=source)
     within = rand(draws, len(varying), generator=source)
     values = grid.low[cell] + within * grid.width[cell]
@@ -205,7 +203,7 @@ def _draw_gels(
     log_normal = -0.5 * (square + size * math.log(2.0 * math.pi))
     log_weights = given.evidence + log_normal - student_log_prob(square, size, freedom)
     means = given.shot_means(centre)
-    each = each if bool(problem.scale.any()) else 2
+    each = each if problem.scale.any() else 2
     shots = []
     missed = []
     for e, shot in enumerate(problem.shots):

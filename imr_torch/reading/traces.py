@@ -197,7 +197,7 @@ class RadiusTrace:
 
     def _refuse_sample(self, wrong: Tensor, field: str, text: str) -> None:
         """Refuse the first sample of a field that is wrong, with its value and the one before."""
-        if bool(wrong.any()):
+        if wrong.any():
             i = int(wrong.nonzero()[0])
             values = getattr(self, field)
             said = text.format(values[i].item(), values[i - 1].item())

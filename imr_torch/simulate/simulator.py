@@ -224,7 +224,7 @@ def _solve_twins_once(
     later = times + (times[:, second] - times[:, 0])[:, None]
     later[:, 0] = times[:, second]
     both, order = torch.cat((times, later), -1).sort(-1)
-    if bool((both[..., 1:] <= both[..., :-1]).any()):  # no twins, or of the same times
+    if (both[..., 1:] <= both[..., :-1]).any():  # no twins, or of the same times
         return solve(*block, width)
     kept = [member for member in range(width) if member != second]
     places = order[:, kept].argsort(-1)
@@ -310,16 +310,16 @@ def check_times(times: Real[Tensor, "members frames"]) -> None:
     ...
     imr_torch.errors.InputDataError: times of batch member 0 do not increase; sort them and ...
     """
-    if not bool(torch.isfinite(times).all()):
+    if not times.isfinite().all():
         raise InputDataError(
             "times holds a value that is not finite; leave missing frames out or mask them."
         )
-    if bool((times[:, 1:] <= times[:, :-1]).any()):
+    if (times[:, 1:] <= times[:, :-1]).any():
         row = int(torch.nonzero((times[:, 1:] <= times[:, :-1]).any(1))[0])
         raise InputDataError(
             f"times of batch member {row} do not increase; sort them and drop repeated ones."
         )
-    if bool((times[:, 0] < EARLIEST).any()):
+    if (times[:, 0] < EARLIEST).any():
         raise InputDataError(
             f"times start at {float(times.min()):g}; t* = 0 is the maximum radius, and growth is "
             "not simulated. "
@@ -340,7 +340,7 @@ def check_designs(designs: Real[Tensor, "*batch 2"]) -> None:
     weber = designs[..., 0]
     rest = designs[..., 1]
     bad = ~(torch.isfinite(weber) & (weber > 0.0) & (rest > 0.0) & (rest < 1.0))
-    if bool(bad.any()):
+    if bad.any():
         row = designs[bad][0].tolist()
         raise InputDataError(
             f"Design (We, R_inf*) = ({row[0]:g}, {row[1]:g}): expected We > 0 and 0 < R_inf* < 1 "
@@ -444,7 +444,7 @@ def _bubbles_only(radius: Tensor, velocity: Tensor, pressure: Tensor) -> tuple[T
     steps of its leader.
     """
     wild = (radius <= 0.0) | (radius > RUNAWAY)
-    if not bool(wild.any()):
+    if not wild.any():
         return radius, velocity, pressure
     lost = wild.cumsum(1) > 0
     return tuple(
@@ -457,7 +457,7 @@ def _explain_failures(status: Tensor, parameters: Tensor) -> Tensor:
     collapse inwards.
     """
     failed = status != Status.DONE
-    if not bool(failed.any()):
+    if not failed.any():
         return status
     theta = dict(zip(PARAMETERS.names, parameters.unbind(1), strict=True))
     for term in TERMS:

@@ -182,7 +182,7 @@ def begin_search(
     fit: ModelFit, batch: ExperimentBatch, simulator: Simulator
 ) -> KindSearch | None:
     """A search of what a fitted base model misses; arguments and None as of :func:`infer_unknown`."""
-    if bool(batch.collapse.any()) or not is_dataclass(simulator):
+    if batch.collapse.any() or not is_dataclass(simulator):
         return None
     shots = tuple(
         Shot(fit.prior, replace(batch, experiments=(experiment,)), simulator)
@@ -190,7 +190,7 @@ def begin_search(
     )
     search = KindSearch(fit, batch.nuisance_sds > 0.0, shots)
     paths = [response.path for response in search.responses]
-    finite = all(bool(path.radius.isfinite().all()) for path in paths)
+    finite = all(path.radius.isfinite().all() for path in paths)
     return search if finite else None
 
 

@@ -118,7 +118,7 @@ def predict_curve(shot: Shot, rival: Rival, reference: FrameValues) -> Multivari
     columns = rival.columns(0, shot, response)
     weights = torch.zeros_like(rival.weights) if rival.each else rival.weights
     made = columns @ weights
-    if rival.inside and bool(made.any()):
+    if rival.inside and made.any():
         response = shot.respond(rival.gel, still, made)
         columns = rival.columns(0, shot, response)
     mean = shot.whiten((response.prediction - reference)[None], reference)[0]

@@ -151,7 +151,7 @@ class Shot:
         """The simulator with a pressure at the wall, over p_inf, beside the laboratory's own
         driving.
         """
-        if not bool(pressure.any()):
+        if not pressure.any():
             return self.simulator
         conditions = self.simulator.conditions
         surroundings = conditions.surroundings
@@ -286,8 +286,6 @@ class Shot:
         surroundings = self.simulator.conditions.surroundings
         size = path.radius.new_tensor(USUAL_SIZE * path.size)
         theta = dimensionless(parameters, size, surroundings)
-        terms = [
-            term for term in TERMS if not term.states and bool(theta[term.switch] != 0.0)
-        ]
+        terms = [term for term in TERMS if not term.states and theta[term.switch] != 0.0]
         rest = path.radius.new_tensor(path.rest_radius)
         return gel_response(terms, path.radius, path.velocity, rest, theta)[0].value

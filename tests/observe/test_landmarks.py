@@ -169,6 +169,19 @@ def test_that_the_rest_radius_of_a_bubble_that_still_rings_is_not_its_mean_radiu
     assert stated.min() >= (0.1 if method == "last cycles" else 0.3)
 
 
+def test_that_a_frame_that_noise_takes_to_nothing_does_not_take_the_rest_radius_with_it():
+    time = frames()
+    radius = ringing(time, tau=1e-4)
+    radius += 0.03 * TOP * np.random.default_rng(0).standard_normal(len(time))
+    clean, _, method = rest_of(marks_of(time, radius))
+    assert method == "last cycles"
+    last_cycle = np.flatnonzero(time > time[-1] - 1.5 * PERIOD)
+    radius[last_cycle[radius[last_cycle].argmin()]] = 1e-3 * TOP
+    found, _, method = rest_of(marks_of(time, radius))
+    assert method == "last cycles"
+    assert 0.4 * clean < found < clean
+
+
 def test_that_a_record_without_rebound_has_no_rest_radius_unless_one_is_given():
     time = frames(50)
     found = marks_of(time, ringing(time))
