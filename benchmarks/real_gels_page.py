@@ -104,7 +104,7 @@ def _draw_set(own: dict[str, Any]) -> Figure:
     tall = sum(0.22 * len(bars) + 0.5 for _, bars in drawn.values())
     figure = plt.figure(figsize=(5.0, tall))
     top = tall
-    for title, (scale, bars) in drawn.items():
+    for heading, (scale, bars) in drawn.items():
         top -= 0.22 * len(bars)
         ax = figure.add_axes((0.38, top / tall, 0.58, 0.22 * len(bars) / tall))
         top -= 0.5
@@ -112,7 +112,7 @@ def _draw_set(own: dict[str, Any]) -> Figure:
             low, middle, high = (scale * x for x in triple)
             ax.plot([low, high], [y, y], color=color, lw=3, alpha=0.5)
             ax.plot(middle, y, "o", color=color, ms=5)
-        ax.set(xscale="log", xlabel=title, ylim=(len(bars) - 0.5, -0.5))
+        ax.set(xscale="log", xlabel=heading, ylim=(len(bars) - 0.5, -0.5))
         ax.set_yticks(range(len(bars)), [label for label, _, _ in bars])
         ax.xaxis.set_major_formatter("{x:g}")
         ax.minorticks_off()  # few marks and no frame: the file is small
