@@ -6,6 +6,10 @@ what is judged. The curve's own nuisances (and its gel, where gels differ) are t
 their priors, and the directions in which they move it are kept: what they can make is no evidence
 for or against a model. Time zero is searched for over its prior first, since a frame next to a
 collapse makes several minima.
+
+Where no model is enough, parts are selected with noise that is enlarged for what residuals have in
+common, and what was selected is judged by fits without the enlargement: with it priors move the fits,
+and the base model's gap is larger than it need be.
 """
 
 import math

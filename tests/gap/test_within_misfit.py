@@ -10,7 +10,8 @@ import torch
 
 from imr_torch.float64 import randn, tensor
 from imr_torch.gap import GapReport, to_json
-from imr_torch.gap.hypotheses import EXPLAINS
+from imr_torch.gap.held_out import held_out, judge_designs
+from imr_torch.gap.hypotheses import EXPLAINS, Hypothesis
 from imr_torch.gap.shrinkage import shrinkage
 from imr_torch.gap.within_misfit import weigh_beside_slow
 from imr_torch.material import intervals
@@ -105,6 +106,26 @@ def test_that_it_predicts_curves_that_were_left_out_and_gives_the_gel_back(besid
         low, _, high = shifts[name]["with_cause"]
         assert 0.9 * low < truth < 1.1 * high
         assert abs(shifts[name]["base"][1] / truth - 1.0) > 0.1
+
+
+@pytest.mark.parametrize("seen", [True, False])
+def test_that_curves_are_judged_by_fits_whose_noise_is_not_enlarged(beside, seen):
+    enlarged = beside.within_misfit.batch.noise
+    assert enlarged.widened > 1.2
+    unseen = None if seen else shoot(STRONG, ((300.0, 0.22),), repeats=0, end=2.5)
+    judged = judge_designs(beside, SIMULATOR, unseen, seed=0)
+    assert len(judged) == (3 if seen else 1)
+    for pair in judged:
+        noise = pair.training.batch.noise
+        assert noise.widened == 1.0
+        assert noise == enlarged.of_frames
+        assert pair.base.converged
+        assert pair.effect.converged
+        if not seen:
+            base = beside.within_misfit.null
+            moved = held_out(base, Hypothesis(BASE), unseen, SIMULATOR)
+            own = [x.residual.square().sum() for x in (pair.base, moved)]
+            assert own[0] < own[1]
 
 
 def test_that_the_quoted_fit_is_that_whose_values_stand_in_the_report(strong, beside):
