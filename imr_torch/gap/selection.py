@@ -102,14 +102,6 @@ def select_causes(
     laws = inquiry.batch.noise_laws
     if finding.verdict != OTHER or laws is None or not laws.of_residuals:
         return finding
-    if nearest is not None:
-        return replace(
-            finding,
-            selected=nearest.selected,
-            selected_fit=nearest.selected_fit,
-            within_misfit=nearest.within_misfit,
-            reason=nearest.reason,
-        )
     nearer = MisfitSelection.begin(inquiry, null, before=len(finding.steps), seed=seed)
     while not nearer.ended:
         held = nearer.held.name
