@@ -187,7 +187,8 @@ def diagnose(
                 null = fit
                 inquiry = replace(inquiry, batch=beside.batch)
                 left = inquiry.test(null, nothing, seed=child(seed, "gap"))
-                found = select_causes(inquiry, null, left, nearest=found, seed=seed)
+                path = found.within_misfit.steps
+                found = select_causes(inquiry, null, left, path=path, seed=seed)
     return GapReport(
         **vars(found),
         batch=inquiry.batch,

@@ -6,7 +6,8 @@ expected loss (:mod:`imr_torch.gap.verdict`), "other" where an unknown effect st
 than not, and undecided where a fit that it rests on has not converged.
 
 Beside "other" stands what comes nearest (:mod:`imr_torch.gap.within_misfit`); with the noise that is
-inferred beside that, hypotheses that are ahead are fitted again from their fits.
+inferred beside that, hypotheses that are ahead are fitted again from their fits, and what comes
+nearest is selected anew.
 """
 
 from collections.abc import Sequence
@@ -80,7 +81,7 @@ def select_causes(
     null: ModelFit,
     left: Adequacy,
     *,
-    nearest: Finding | None = None,
+    path: Sequence[Candidates] = (),
     seed: int,
 ) -> Finding:
     """Forward selection of parts until an unknown effect is improbable, and the verdict that
@@ -94,15 +95,15 @@ def select_causes(
         inquiry: base model, effects and data.
         null: the base model's fit.
         left: the gap test there.
-        nearest: an earlier verdict "other", with other noise, whose parts are held again.
+        path: how what comes nearest was selected with other noise: its parts are held again.
         seed: of every random number.
     """
-    steps = nearest.within_misfit.steps if nearest and nearest.within_misfit else ()
-    finding = _select_until_adequate(inquiry, null, left, path=steps, seed=seed)
+    finding = _select_until_adequate(inquiry, null, left, path=path, seed=seed)
     laws = inquiry.batch.noise_laws
     if finding.verdict != OTHER or laws is None or not laws.of_residuals:
         return finding
-    nearer = MisfitSelection.begin(inquiry, null, before=len(finding.steps), seed=seed)
+    before = _count_before(path, len(finding.steps))
+    nearer = MisfitSelection.begin(inquiry, null, before=before, seed=seed)
     while not nearer.ended:
         held = nearer.held.name
         nearer.extend([step for step in finding.steps if step.held.name == held])
@@ -116,6 +117,11 @@ def select_causes(
         reason="No effect of the library is enough; where all that is left counts as noise, "
         f"{explained}.",
     )
+
+
+def _count_before(path: Sequence[Candidates], number: int) -> float:
+    """Time before a step, over that of a selection with the camera's noise."""
+    return (1.0 + WIDE) * len(path) + AGAIN * number if path else float(number)
 
 
 def _select_until_adequate(
@@ -145,10 +151,9 @@ def _select_until_adequate(
         number = len(steps)
         own = child(seed, "attribute", len(held.parts))
         near = choose_ahead(path[number], inquiry) if path else None
-        begin = (1.0 + WIDE) * len(path) + AGAIN * number if path else float(number)
-        times = (begin, begin + (AGAIN if path else 1.0))
+        times = (_count_before(path, number), _count_before(path, number + 1))
         what = "with new noise, cause" if path else "cause"
-        expected = 0.0 if path else expect_selections(inquiry, left)
+        expected = expect_selections(inquiry, left)
         counted = report_selection(inquiry, held, what, times, expected=expected)
         found = attribute(
             counted, fit, held, before=before, near=near, seed=own, masked=masked

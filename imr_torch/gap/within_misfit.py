@@ -27,6 +27,8 @@ WIDE = 0.5
 """Time of a selection with wide noise over that of one with the camera's."""
 AGAIN = 0.2
 """The same of one that begins at known fits."""
+# of all selections, a part: both are made again with the noise beside what comes nearest
+_ALL = 1.0 + 2.0 * WIDE + AGAIN
 
 # hypotheses whose most probable points beside slow noise are found, or that are fitted anew
 _AHEAD = 8
@@ -72,7 +74,7 @@ class MisfitSelection:
         left: the gap test there.
         own: the first of these fits, with its data.
         seed: of every random number.
-        before: selections that were made before it.
+        before: selections that were made before it, of one's time with the camera's noise.
         steps: attributions so far.
         ended: whether nothing more explains enough, or no more is asked for.
     """
@@ -84,13 +86,13 @@ class MisfitSelection:
     left: Adequacy
     own: tuple[ModelFit, ExperimentBatch]
     seed: int
-    before: int
+    before: float
     steps: list[Candidates] = field(default_factory=list)
     ended: bool = False
 
     @classmethod
     def begin(
-        cls, inquiry: Inquiry, null: ModelFit, *, before: int, seed: int
+        cls, inquiry: Inquiry, null: ModelFit, *, before: float, seed: int
     ) -> "MisfitSelection":
         """A selection that holds the base model alone.
 
@@ -114,7 +116,7 @@ class MisfitSelection:
             self.held,
             "no effect is enough, nearest cause",
             (self.before + count * WIDE, self.before + (count + 1) * WIDE),
-            expected=self.before * (1.0 + AGAIN) + WIDE * self.inquiry.most,
+            expected=_ALL * self.inquiry.most,
         )
         return fit_candidates(
             counted,
@@ -199,7 +201,7 @@ def expect_selections(inquiry: Inquiry, left: Adequacy) -> float:
     """Time that all selections take where the gap is large and noise was inferred; else 0."""
     laws = inquiry.batch.noise_laws
     large = laws is not None and laws.of_residuals and left.test.p_value < _LARGE_GAP
-    return (1.0 + WIDE + AGAIN) * inquiry.most if large else 0.0
+    return _ALL * inquiry.most if large else 0.0
 
 
 def weigh_beside_slow(

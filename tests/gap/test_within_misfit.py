@@ -13,7 +13,7 @@ from imr_torch.gap import GapReport, to_json
 from imr_torch.gap.held_out import held_out, judge_designs
 from imr_torch.gap.hypotheses import EXPLAINS, Hypothesis
 from imr_torch.gap.shrinkage import shrinkage
-from imr_torch.gap.within_misfit import weigh_beside_slow
+from imr_torch.gap.within_misfit import MisfitSelection, weigh_beside_slow
 from imr_torch.material import intervals
 from imr_torch.observe import Experiment, Noise
 from imr_torch.random import generator
@@ -71,8 +71,30 @@ def test_that_the_noise_is_that_of_the_frames_though_the_base_model_is_far_off(s
 
 
 @pytest.fixture(scope="module")
-def beside():
-    return diagnosed(STRONG, 0.012)
+def noises():
+    """The noise by which each selection of what comes nearest began."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def beside(noises):
+    begin = MisfitSelection.begin
+
+    def note_noise(inquiry, *rest, **known):
+        noises.append(inquiry.batch.noise)
+        return begin(inquiry, *rest, **known)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(MisfitSelection, "begin", note_noise)
+        return diagnosed(STRONG, 0.012)
+
+
+def test_that_what_comes_nearest_is_selected_anew_with_the_noise_beside_it(beside, noises):
+    first, last = noises
+    assert last == beside.batch.noise
+    radius, times = beside.batch.mean, beside.batch.times
+    ratio = last.sd(radius, times) / first.sd(radius, times)
+    assert ratio[beside.batch.mask].log().mean().exp() < 0.8
 
 
 def test_that_it_is_selected_and_not_named_beside_slow_deviations(beside):
