@@ -204,6 +204,12 @@ GEL, COPY, OTHER = (
 STATED = {"name": "gel.json", "sha256": "77c1"}
 
 
+@pytest.mark.parametrize("file", [{"name": "gel.csv"}, {"sha256": "bd67"}, "gel.csv"])
+def test_that_a_result_whose_files_are_not_whole_is_refused(file):
+    with refused("'files' lacks the name or the sha256 of a file"):
+        gel((0.3, 0.0), 0.1, files=[GEL, file])
+
+
 @pytest.mark.parametrize(
     "second", [[GEL], [COPY], [OTHER, GEL]], ids=("same", "copy", "some")
 )

@@ -109,11 +109,9 @@ class _Basins:
     before: Tensor
 
     @classmethod
-    def find(
-        cls, posterior: Posterior, point: Point, *, promising: float = 30.0
-    ) -> "_Basins":
+    def find(cls, posterior: Posterior, point: Point) -> "_Basins":
         """From the lowest places of the profile over time zero, of the experiments where a place off
-        the points is expected to cost at most ``promising`` nats more; deeper basins were expected
+        the points is expected to cost at most 30 nats more; deeper basins were expected
         at most 5 above.
         """
         movable = posterior.batch.nuisance_sds[:, _TIME_ZERO] > 0.0
@@ -122,7 +120,7 @@ class _Basins:
             return cls(torch.arange(0), nowhere, nowhere[..., 0], nowhere[:, 0, :, 0])
         before = _nuisance_cost(posterior, point)
         places, expected = _find_lowest_places(posterior, point)
-        deep = (expected < before[:, None] + promising).flatten(0, 1).any(0)
+        deep = (expected < before[:, None] + 30.0).flatten(0, 1).any(0)
         rows = torch.nonzero(movable & deep)[:, 0]
         return cls.below(places, rows, posterior, point.gel, before)
 

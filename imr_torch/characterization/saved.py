@@ -121,6 +121,11 @@ class SavedCharacterization:
             or "belief" not in document
         ):
             raise InputDataError(f"{source}: holds no 'models' and 'belief'; {_EXPECTED}.")
+        for file in document.get("files", ()):
+            if not isinstance(file, dict) or not {"name", "sha256"} <= file.keys():
+                raise InputDataError(
+                    f"{source}: 'files' lacks the name or the sha256 of a file; {_EXPECTED}."
+                )
         try:
             is_explained(document)
             before = document.get("prior")

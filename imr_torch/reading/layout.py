@@ -304,7 +304,6 @@ def _choose_entries(
     scales: Scales,
     *,
     tolerance: float = 0.01,
-    common_tolerance: float = 0.002,
     most: int = 20_000,
 ) -> tuple[Sequence[int], list[str]]:
     """The entries that are named, or the one order-preserving choice of entries under which all
@@ -316,8 +315,7 @@ def _choose_entries(
         found: entries of the maximum radius.
         times: of the frames of each curve, dimensionless.
         scales: those of the file.
-        tolerance: relative, of spacings from a known interval.
-        common_tolerance: relative, between the spacings of curves.
+        tolerance: relative, of spacings from a known interval; between those of curves .002.
         most: choices that are tried.
     """
     count = len(times)
@@ -353,7 +351,7 @@ def _choose_entries(
     spacings = implied[range(count), choices]
     interval = scales.interval
     if interval is None:
-        fits = np.ptp(spacings, 1) <= common_tolerance * spacings.mean(1)
+        fits = np.ptp(spacings, 1) <= 0.002 * spacings.mean(1)
     else:
         fits = (np.abs(spacings / interval - 1.0) <= tolerance).all(1)
     fitting = choices[fits].tolist()
