@@ -74,7 +74,7 @@ class MisfitSelection:
         left: the gap test there.
         own: the first of these fits, with its data.
         seed: of every random number.
-        before: selections that were made before it, of one's time with the camera's noise.
+        before: time of the selections made before it, over that of one with the camera's noise.
         steps: attributions so far.
         ended: whether nothing more explains enough, or no more is asked for.
     """
